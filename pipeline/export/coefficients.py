@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from pipeline.coefficients import COEFFICIENTS, is_stiffness
 from pipeline.data.operating import name_state
@@ -108,25 +108,21 @@ def tabulate(*states: Exported) -> dict[str, Any]:
 
 
 def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
-    suffix = {True: "", False: ""} if exported.units == "si" else {True: "_lb_per_in", False: "_lb_s_per_in"}
-    n_bearings, n_speeds = len(exported.table.nodes), len(exported.rpm)
+    stiffness, damping = ("", "") if exported.units == "si" else ("_lb_per_in", "_lb_s_per_in")
     columns: dict[str, np.ndarray] = {
-        "bearing_node": np.repeat(exported.table.nodes, n_speeds),
-        "speed_rpm": np.tile(exported.rpm, n_bearings),
+        "bearing_node": np.repeat(exported.table.nodes, len(exported.rpm)),
+        "speed_rpm": np.tile(exported.rpm, len(exported.table.nodes)),
     }
-    count = n_bearings * n_speeds
-    columns |= list_columns({name: np.full(count, value) for name, value in exported.operating.items()})
+    every = np.ones(len(columns["speed_rpm"]))
+    columns |= list_columns({name: value * every for name, value in exported.operating.items()})
     for beside, table in exported.tables.items():
         for c, name in enumerate(COEFFICIENTS):
-            columns["_".join(filter(None, (f"{name}{suffix[is_stiffness(name)]}", beside)))] = table[..., c].ravel()
+            column = f"{name}{stiffness if is_stiffness(name) else damping}"
+            columns[f"{column}_{beside}" if beside else column] = table[..., c].ravel()
     return columns
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class Coefficient(_Part):
+class Coefficient(BaseModel, extra="forbid"):
     """One coefficient over the speed."""
 
     identified: bool = Field(description="false: it was known, and is repeated here")
@@ -134,7 +130,7 @@ class Coefficient(_Part):
     std: list[float] | None = Field(description="standard deviations; null where there are none")
 
 
-class Bearing(_Part):
+class Bearing(BaseModel, extra="forbid"):
     """One bearing, at one state of the operating conditions."""
 
     node: int = Field(ge=0, description="node of the rotor, counted from 0")
@@ -143,7 +139,7 @@ class Bearing(_Part):
     coefficients: dict[str, Coefficient] = Field(description=f"by name: {', '.join(COEFFICIENTS)}")
 
 
-class Number(_Part):
+class Number(BaseModel, extra="forbid"):
     """A number of a bearing law."""
 
     name: str = Field(description="such as node 8 radial clearance")
@@ -152,7 +148,7 @@ class Number(_Part):
     unit: str
 
 
-class Document(_Part):
+class Document(BaseModel, extra="forbid"):
     """Identified bearing coefficients of a rotor."""
 
     schema_version: Literal[1] = 1
@@ -166,10 +162,9 @@ class Document(_Part):
 
 def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
     """The same as JSON."""
-    first = states[0]
-    stiffness, damping = NAMES[first.units]
+    stiffness, damping = NAMES[states[0].units]
     return Document(
-        experiment=first.name,
+        experiment=states[0].name,
         stiffness_unit=stiffness,
         damping_unit=damping,
         conventions=list(CONVENTIONS),
@@ -179,15 +174,15 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
 
 
 def _list_bearings(exported: Exported) -> list[Bearing]:
-    deviations, bearings = exported.tables.get("std"), []
+    bearings = []
     beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
     operating = {name: float(levels[0]) for name, levels in beside.items()}
     for b, node in enumerate(exported.table.nodes):
         coefficients = {}
         for c, name in enumerate(COEFFICIENTS):
             known = bool(exported.identified[b, c])
-            std = deviations[b, :, c].tolist() if known and deviations is not None else None
-            coefficients[name] = Coefficient(identified=known, value=exported.values[b, :, c].tolist(), std=std)
+            value, *std = (table[b, :, c].tolist() for table in exported.tables.values())
+            coefficients[name] = Coefficient(identified=known, value=value, std=std[0] if known and std else None)
         rpm = exported.rpm.tolist()
         bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=coefficients))
     return bearings

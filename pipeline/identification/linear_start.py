@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.identification.problem import OutputError
+from pipeline.impedance import list_places, to_coordinates
 from pipeline.problem.expansion import expand
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import whiten
@@ -111,4 +112,9 @@ def _outputs(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     """(M, S, U) outputs of the model that give unknowns (M, S, U)."""
     import torch
 
-    return problem.basis.model.raw_from(torch.tensor(values), problem.scale)
+    model = problem.basis.model
+    if model.parametrisation != "impedance":
+        return model.raw_from(torch.tensor(values), problem.scale)
+    eight = problem.measurement.table(values).values
+    outputs = to_coordinates(eight, problem.measurement.dataset.speeds)[..., list_places(model.unknowns)]
+    return torch.as_tensor(outputs[: len(values)])

@@ -19,36 +19,36 @@ from pipeline.write_numbers import write_number
 
 
 def tabulate_estimates(
-    by_method: Mapping[str, Estimates], planes: Sequence[int], source: SourceUnits
+    method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits
 ) -> list[dict[str, Any]]:
-    """Rows of ``balance.csv``: one a method, condition and plane. Angles are those of the recordings."""
+    """Rows of ``balance.csv`` by a method: one a condition and plane. Angles are those of the recordings."""
     rows: list[dict[str, Any]] = []
-    for method, estimates in by_method.items():
-        values, given = source.weights(estimates.unbalance), source.weights(estimates.readings.unbalance)
-        for c, (name, unbalance) in enumerate(zip(estimates.readings.names, estimates.found, strict=True)):
-            sizes, angle = unbalance.magnitude_interval() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
-            half, known = unbalance.half_width() / GRAM_MILLIMETRE, estimates.readings.unbalance[c]
-            for n, node in enumerate(planes):
-                row: dict[str, Any] = {"method": method, "condition": name, "node": node}
-                row |= _show_complex("unbalance", values[c, n])
-                row |= {
-                    "magnitude_low_g_mm": sizes[n, 0],
-                    "magnitude_high_g_mm": sizes[n, 1],
-                    "angle_band_deg": angle[n],
-                    "part_band_g_mm": half[n],
-                    "circle_g_mm": estimates.radius[c, n] / GRAM_MILLIMETRE,
-                }
-                if not np.isnan(known[n]):
-                    row |= _show_complex("known", given[c, n])
-                    row["known_within_95"] = int(abs(known[n] - unbalance.value[n]) <= estimates.radius[c, n])
-                row |= {
-                    "chance": estimates.chance[c],
-                    "inconsistent": int(estimates.inconsistent[c]),
-                    "label_chance": estimates.label_chance[c],
-                    "contradicted": int(estimates.contradicted[c]),
-                    "vectors": int((estimates.readings.counts[c] > 0).sum()),
-                }
-                rows.append({key: _blank(value) if isinstance(value, float) else value for key, value in row.items()})
+    readings, radius = estimates.readings, estimates.radius
+    values, given = source.weights(estimates.unbalance), source.weights(readings.unbalance)
+    for c, (name, unbalance) in enumerate(zip(readings.names, estimates.found, strict=True)):
+        sizes, angle = unbalance.magnitude_interval() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
+        half, known = unbalance.half_width() / GRAM_MILLIMETRE, readings.unbalance[c]
+        for n, node in enumerate(planes):
+            row: dict[str, Any] = {"method": method, "condition": name, "node": node}
+            row |= _show_complex("unbalance", values[c, n])
+            row |= {
+                "magnitude_low_g_mm": sizes[n, 0],
+                "magnitude_high_g_mm": sizes[n, 1],
+                "angle_band_deg": angle[n],
+                "part_band_g_mm": half[n],
+                "circle_g_mm": radius[c, n] / GRAM_MILLIMETRE,
+            }
+            if not np.isnan(known[n]):
+                row |= _show_complex("known", given[c, n])
+                row["known_within_95"] = int(abs(known[n] - unbalance.value[n]) <= radius[c, n])
+            row |= {
+                "chance": estimates.chance[c],
+                "inconsistent": int(estimates.inconsistent[c]),
+                "label_chance": estimates.label_chance[c],
+                "contradicted": int(estimates.contradicted[c]),
+                "vectors": int((readings.counts[c] > 0).sum()),
+            }
+            rows.append({key: _blank(value) if isinstance(value, float) else value for key, value in row.items()})
     return rows
 
 
@@ -65,39 +65,36 @@ def _show_complex(name: str, value: complex) -> dict[str, float]:
     }
 
 
-def print_estimates(
-    name: str, method: str, estimates: Estimates, planes: Sequence[int], source: SourceUnits, most: int = 40
-) -> None:
-    """The unbalance of every condition by one method; of more than ``most`` the first ones and those with a remark."""
-    names, remarks = estimates.readings.names, [_remark(estimates, c) for c in range(len(estimates.found))]
-    shown = [c for c, remark in enumerate(remarks) if remark]
-    first = len(names) if len(names) <= most else most - len(shown)
-    shown = sorted({*shown, *range(first)})
-    rows = [[names[c], *_show_condition(estimates, c, source), remarks[c]] for c in shown]
+def print_estimates(name: str, method: str, rows: Sequence[Mapping[str, Any]], most: int = 40) -> None:
+    """The unbalance of every condition, from the rows of a method; of more than ``most`` the first ones and those with
+    a remark."""
+    planes, lines = list(dict.fromkeys(row["node"] for row in rows)), []
+    for first in range(0, len(rows), len(planes)):
+        cells = [cell for row in rows[first : first + len(planes)] for cell in _show_plane(row)]
+        lines.append([rows[first]["condition"], *cells, _remark(rows[first])])
+    plain = most - sum(bool(line[-1]) for line in lines) if len(lines) > most else most
+    shown = [line for i, line in enumerate(lines) if line[-1] or i < plain]
     header = ["condition", *(f"node {node}, {what}" for node in planes for what in ("g mm", "deg", "known")), "remark"]
-    table(f"{name}: unbalance by {method} (+- 95 %)", header, rows)
-    if len(shown) < len(names):
-        say(f"{len(names) - len(shown)} more conditions are in balance.csv")
+    table(f"{name}: unbalance by {method} (+- 95 %)", header, shown)
+    if len(shown) < len(lines):
+        say(f"{len(lines) - len(shown)} more conditions are in balance.csv")
 
 
-def _show_condition(estimates: Estimates, c: int, source: SourceUnits) -> list[str]:
-    unbalance, cells = estimates.found[c], []
-    values, known = source.weights(unbalance.value), source.weights(estimates.readings.unbalance[c])
-    half, angle = unbalance.half_width() / GRAM_MILLIMETRE, np.degrees(unbalance.angle_half_width())
-    for value, known_to, turn, given in zip(values, half, angle, known, strict=True):
-        cells.append(_show_size(abs(value), known_to))
-        cells.append("any" if turn >= 180 else f"{_show_angle(value)} +- {turn:.1f}")
-        size = f"{write_number(abs(given))} at {_show_angle(given)}" if abs(given) > 0 else "0"
-        cells.append("-" if np.isnan(given) else size)
-    return cells
+def _show_plane(row: Mapping[str, Any]) -> list[str]:
+    """Size, angle and known weight of a condition in a plane."""
+    turn, known = row["angle_band_deg"], row.get("known_g_mm")
+    angle = "any" if turn >= 180 else f"{_show_angle(row, 'unbalance')} +- {turn:.1f}"
+    given = f"{write_number(known)} at {_show_angle(row, 'known')}" if known else "0"
+    return [_show_size(row["unbalance_g_mm"], row["part_band_g_mm"]), angle, "-" if known is None else given]
 
 
-def _remark(estimates: Estimates, c: int) -> str:
-    remarks = (
-        (estimates.inconsistent, "no unbalance explains it", estimates.chance),
-        (estimates.contradicted, "contradicts its weights", estimates.label_chance),
-    )
-    return ", ".join(f"{text} ({write_number(chance[c], digits=1)})" for at, text, chance in remarks if at[c])
+def _remark(row: Mapping[str, Any]) -> str:
+    remarks = {
+        "inconsistent": ("no unbalance explains it", "chance"),
+        "contradicted": ("contradicts its weights", "label_chance"),
+    }
+    said = (f"{text} ({write_number(row[chance], digits=1)})" for key, (text, chance) in remarks.items() if row[key])
+    return ", ".join(said)
 
 
 def describe_sheet(
@@ -116,18 +113,16 @@ def describe_sheet(
         }
         for n, node in enumerate(planes)
     ]
-    return {"planes": rows, "tolerance": judge_tolerance(sheet, tolerance)}
+    return {"planes": rows, "tolerance": _judge_tolerance(sheet, tolerance)}
 
 
-def print_sheet(
-    title: str, sheet: BalanceSheet, planes: Sequence[int], source: SourceUnits, tolerance: Tolerance | None
-) -> None:
+def print_sheet(title: str, described: Mapping[str, Any]) -> None:
     """Which mass goes into which hole, what remains in each plane, and whether the tolerance holds."""
     rows = []
-    for plane in describe_sheet(sheet, planes, source, tolerance)["planes"]:
+    for plane in described["planes"]:
         weights = [f"{write_number(w['mass_g'])} g in hole {w['hole']}" for w in plane["weights"]]
         vectors = [
-            f"{_show_size(plane[f'{vector}_g_mm'])} at {plane[f'{vector}_angle_deg'] % 360:.0f} deg"
+            f"{_show_size(plane[f'{vector}_g_mm'])} at {_show_angle(plane, vector)} deg"
             for vector in ("unbalance", "remaining")
         ]
         bounds = [_show_bound(plane[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
@@ -135,7 +130,7 @@ def print_sheet(
     header = ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"]
     table(title, header, rows)
     verdicts = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}
-    for plane in judge_tolerance(sheet, tolerance):
+    for plane in described["tolerance"]:
         permissible = write_number(plane["permissible_g_mm"], digits=3)
         say(
             f"bearing at node {plane['node']}: {_show_size(plane['remaining_g_mm'])} g mm remain "
@@ -158,27 +153,24 @@ def print_fewer(sheets: Sequence[BalanceSheet], planes: Sequence[int], source: S
     table("would fewer do?", header, rows)
 
 
-def judge_tolerance(sheet: BalanceSheet, tolerance: Tolerance | None) -> list[dict[str, Any]]:
+def _judge_tolerance(sheet: BalanceSheet, tolerance: Tolerance | None) -> list[dict[str, Any]]:
     """Of each bearing: met where even the 95 % bound is permissible, not met where the estimate itself is not."""
     if tolerance is None:
         return []
     remaining = tolerance.remaining(sheet.remaining)
     most = bound_size(remaining, tolerance.circle(sheet.covariance, sheet.circle))
-    rows = []
-    for node, left, bound, permissible in zip(
-        tolerance.nodes, np.abs(remaining), most, tolerance.permissible, strict=True
-    ):
-        verdict = "met" if bound <= permissible else "not met" if left > permissible else "open"
-        rows.append(
-            {
-                "node": node,
-                "remaining_g_mm": float(left / GRAM_MILLIMETRE),
-                "at_most_g_mm": _blank(bound / GRAM_MILLIMETRE),
-                "permissible_g_mm": float(permissible / GRAM_MILLIMETRE),
-                "verdict": verdict,
-            }
+    return [
+        {
+            "node": node,
+            "remaining_g_mm": float(left / GRAM_MILLIMETRE),
+            "at_most_g_mm": _blank(bound / GRAM_MILLIMETRE),
+            "permissible_g_mm": float(permissible / GRAM_MILLIMETRE),
+            "verdict": "met" if bound <= permissible else "not met" if left > permissible else "open",
+        }
+        for node, left, bound, permissible in zip(
+            tolerance.nodes, np.abs(remaining), most, tolerance.permissible, strict=True
         )
-    return rows
+    ]
 
 
 def tabulate_vibration_change(
@@ -231,13 +223,13 @@ def _show_bound(size: float | None) -> str:
     return "unknown" if size is None else write_number(size, digits=3)
 
 
-def _show_size(size: float, known_to: float = np.nan, least: float = 1e-3) -> str:
+def _show_size(size: float, known_to: float | None = None, least: float = 1e-3) -> str:
     """In g mm, with its 95 % band where that is known; nothing below the ``least``."""
-    return write_number(size, known_to, 3) if size >= least or np.isfinite(known_to) else "0"
+    return write_number(size, known_to, 3) if size >= least or known_to is not None else "0"
 
 
-def _show_angle(value: complex) -> str:
-    return f"{np.degrees(np.angle(value)) % 360:.0f}"
+def _show_angle(row: Mapping[str, Any], vector: str) -> str:
+    return f"{row[f'{vector}_angle_deg'] % 360:.0f}"
 
 
 def tabulate_predicted(

@@ -52,6 +52,11 @@ class Coefficients:
         return bool(np.isfinite(self.modelled).any())
 
     @property
+    def stated(self) -> bool:
+        """Whether the fit states deviations."""
+        return bool(np.isfinite(self.deviation).any())
+
+    @property
     def rpm(self) -> np.ndarray:
         """(S,)."""
         return to_rpm(self.identified.speeds)
@@ -115,44 +120,28 @@ def draw_bearing(shown: Coefficients, b: int, letter: str, si: bool = False) -> 
     scaled = "log" if si and np.nanmin(values, initial=np.inf) > 0 else "linear"
     axes = [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled)]
     if si and shown.compared and errors:
-        stated = ", and nominal\n95 % (dotted)" if np.isfinite(shown.deviation).any() else ""
+        stated = ", and nominal\n95 % (dotted)" if shown.stated else ""
         axes.append(Axes(errors, f"error{stated} (%)", scale="log"))
     return Panel(f"bearing at node {shown.identified.nodes[b]}", RPM, axes)
 
 
-def draw_coefficients(
-    path: Path,
-    letter: str,
-    identified: BearingTable,
-    modelled: BearingTable | None,
-    unknowns: Sequence[Sequence[str]],
-    deviation: np.ndarray | None = None,
-) -> Path:
-    """Paper, Figures 3 (``letter`` k) and 4 (c): coefficients over speed, and the error below.
+def draw_coefficients(path: Path, shown: Coefficients, letter: str = "") -> Path:
+    """Every identified coefficient over the speed; with a ``letter`` (k or c) those alone, with their errors below.
 
-    ``unknowns`` are those of each bearing. A direct coefficient that was not identified is drawn as the known line that
-    it is. ``deviation`` (B, S, 8) is drawn as a band, and beside the error as nominal 95 % interval.
+    Markers are identified, bands nominal 95 % intervals, thin lines the modelled truth. With operating conditions it is
+    a panel a coefficient and a line a state; else a row for stiffness and one for damping, a column a bearing, and with
+    a ``letter`` Figures 3 (k) and 4 (c) of the paper, in SI. A direct coefficient that was not identified is drawn as
+    the known line that it is.
     """
-    shown = Coefficients.collect(identified, modelled, unknowns, deviation)
-    panels = [draw_bearing(shown, b, letter, si=True) for b in range(len(identified.nodes))]
-    return write_figure(path, Figure(KINDS[letter], "", panels))
-
-
-def draw_identified(
-    path: Path,
-    identified: BearingTable,
-    modelled: BearingTable | None,
-    unknowns: Sequence[Sequence[str]],
-    deviation: np.ndarray | None,
-) -> Path:
-    """A row for stiffness and one for damping, a column a bearing; ``unknowns`` are those of each bearing.
-
-    Markers are identified, bands (of ``deviation``, (B, S, 8)) nominal 95 % intervals, thin lines the modelled truth.
-    """
-    shown = Coefficients.collect(identified, modelled, unknowns, deviation)
-    bearings = range(len(identified.nodes))
-    panels = [draw_bearing(shown, b, letter) for letter in "kc" if shown.choose(letter) for b in bearings]
-    return write_figure(path, Figure("identified", "", panels, columns=len(bearings)))
+    bearings, columns = range(len(shown.identified.nodes)), 2
+    if shown.identified.operating:
+        panels = draw_state_panels(list_states(shown), letter or "kc", bool(letter))
+        columns = min(4, len(panels))
+    elif letter:
+        panels = [draw_bearing(shown, b, letter, si=True) for b in bearings]
+    else:
+        panels, columns = [draw_bearing(shown, b, k) for k in "kc" if shown.choose(k) for b in bearings], len(bearings)
+    return write_figure(path, Figure(letter or "identified", "", panels, columns))
 
 
 def pick_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray], most: int = 8) -> list[tuple[str, np.ndarray]]:
@@ -198,22 +187,3 @@ def draw_state_panels(
             axes += [Axes(errors, "error (%)", scale="log")] if compared and not known else []
             panels.append(Panel(f"{name}, node {node}{', known' if known else ''}", RPM, axes))
     return panels
-
-
-def draw_states(
-    path: Path,
-    identified: BearingTable,
-    modelled: BearingTable | None,
-    unknowns: Sequence[Sequence[str]],
-    deviation: np.ndarray | None,
-    letter: str | None = None,
-) -> Path:
-    """Every identified coefficient over the speed, at each state; ``unknowns`` are those of each bearing.
-
-    Markers are identified, bands (of ``deviation``, (B, S, 8)) nominal 95 % intervals, thin lines the modelled truth.
-    With a ``letter`` (k or c) it is those alone, with the error of each in percent below it; where none of them was
-    identified, the direct ones as they are known.
-    """
-    states = list_states(Coefficients.collect(identified, modelled, unknowns, deviation))
-    panels = draw_state_panels(states, letter or "kc", letter is not None)
-    return write_figure(path, Figure(letter or "identified", "", panels, columns=min(4, len(panels))))

@@ -42,20 +42,18 @@ class Comparison:
 
         Data sets without an answer are left out.
         """
-        names = [name] if name else self.names
-        rows = [r for r in self.of(method, case) if r.answered]
-        errors = {r.data_set: [r.error(coefficient) for coefficient in names] for r in rows}
+        names, answered = [name] if name else self.names, [r for r in self.of(method, case) if r.answered]
+        errors = {r.data_set: [r.error(coefficient) for coefficient in names] for r in answered}
         return {i: float(np.nanmax(values)) for i, values in errors.items() if not np.isnan(values).all()}
 
     def error(self, method: str, case: Case, name: str | None = None) -> float:
         """The mean of the :meth:`entries`; NaN where there is no answer."""
-        errors = self.entries(method, case, name)
-        return float(np.mean(list(errors.values()))) if errors else float("nan")
+        return float(np.mean(list(self.entries(method, case, name).values()) or [np.nan]))
 
     def spread(self, method: str, case: Case, name: str | None = None) -> float:
         """The standard deviation of the :meth:`entries`; NaN where there are fewer than two."""
-        errors = self.entries(method, case, name)
-        return float(np.std(list(errors.values()), ddof=1)) if len(errors) > 1 else float("nan")
+        errors = list(self.entries(method, case, name).values())
+        return float(np.std(errors, ddof=1)) if len(errors) > 1 else float("nan")
 
     def differs(self, method: str, other: str, case: Case, name: str | None = None) -> bool:
         """Whether the errors of two methods differ beyond their spread: Student's test of the paired differences, 5 %.
@@ -63,16 +61,14 @@ class Comparison:
         On clean data, where nothing varies, they differ unless both are rounding.
         """
         mine, others = self.entries(method, case, name), self.entries(other, case, name)
-        common = sorted(set(mine) & set(others))
+        pairs = [(mine[i], others[i]) for i in sorted(set(mine) & set(others))]
+        differences = [error - other for error, other in pairs]
         if not case.noise:
-            return any(max(mine[i], others[i]) >= ROUNDING_PERCENT and mine[i] != others[i] for i in common)
-        if len(common) < 2:
-            return False
+            return any(max(pair) >= ROUNDING_PERCENT and pair[0] != pair[1] for pair in pairs)
+        if len(pairs) < 2 or np.ptp(differences) == 0:
+            return len(pairs) > 1 and differences[0] != 0
         from scipy.stats import ttest_1samp
 
-        differences = [mine[i] - others[i] for i in common]
-        if np.ptp(differences) == 0:
-            return differences[0] != 0
         return bool(ttest_1samp(differences, 0.0).pvalue < 0.05)
 
     def level_with_best(self, case: Case, name: str | None = None) -> set[str]:
@@ -137,9 +133,8 @@ class Comparison:
 
     def along(self, key: str) -> list[Case]:
         """The main case with every value of ``noise``, ``sensors`` or ``speeds`` that there is."""
-        values = list(dict.fromkeys(getattr(r.case, key) for r in self.results))
-        values = values if key == "sensors" else sorted(values)
-        made = [replace(self.main, **{key: value}) for value in values]
+        values = dict.fromkeys(getattr(r.case, key) for r in self.results)
+        made = [replace(self.main, **{key: value}) for value in (values if key == "sensors" else sorted(values))]
         return [case for case in made if any(self.of(method, case) for method in self.methods)]
 
     def best_other(self, method: str, case: Case, name: str, *without: str) -> tuple[str, float]:
@@ -259,22 +254,24 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
             "doubt": next((r.doubt for r in results if r.doubt), ""),
             "seconds": float(np.median([r.seconds for r in results])),
         }
-        places = dict.fromkeys(
+        places: dict[tuple[str | None, str | None], None] = dict.fromkeys(
             (node, name) for r in answered for node, coefficient in r.coefficients.items() for name in coefficient
         )
-        rows += [about | {"bearing_node": n, "coefficient": c} | _summarize(answered, n, c) for n, c in places]
-        if not places:
-            rows.append(about | {"bearing_node": None, "coefficient": None} | _summarize([], "", ""))
+        rows += [
+            about | {"bearing_node": node, "coefficient": name} | _summarize(answered, node, name)
+            for node, name in places or [(None, None)]
+        ]
     return rows
 
 
-def _summarize(answered: Sequence[Result], node: str, name: str) -> dict[str, object]:
+def _summarize(answered: Sequence[Result], node: str | None, name: str | None) -> dict[str, object]:
     """Over the data sets; None for what none of them has."""
     import pandas as pd
 
-    answers = [r.coefficients[node][name] for r in answered if name in r.coefficients.get(node, {})]
-    columns = list(CoefficientResult.model_fields)
-    table = pd.DataFrame([answer.model_dump() for answer in answers], columns=columns, dtype=float)
+    answers = [
+        each[name].model_dump() for r in answered for at, each in r.coefficients.items() if at == node and name in each
+    ]
+    table = pd.DataFrame(answers, columns=list(CoefficientResult.model_fields), dtype=float)
     errors = table["median_error"]
     numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}
     numbers = {"median_error_percent": errors.mean(), **numbers}

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pipeline.reporting.tables import Cell, Table
+from pipeline.reporting.tables import Cell
 from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
@@ -43,21 +43,16 @@ def warn(text: str) -> None:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Print a table on stdout; the first column is left-aligned, the others right."""
-    print_table(Table(title, header, rows))
-
-
-def print_table(shown: Table) -> None:
-    """The same of a table that other media show too; nothing of one without rows."""
+    """Print a table on stdout, unless it has no rows; the first column is left-aligned, the others right."""
     from rich import box
-    from rich.table import Table as Drawing
+    from rich.table import Table
 
-    drawn = Drawing(title=shown.caption, title_justify="left", box=box.SIMPLE_HEAD)
-    for i, name in enumerate(shown.header):
+    drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, name in enumerate(header):
         drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in shown.rows:
+    for row in rows:
         drawn.add_row(*map(str, row))
-    if shown.rows:
+    if rows:
         _open_console(False).print(drawn, markup=False, crop=False)
 
 
@@ -83,12 +78,9 @@ def training_progress(name: str) -> Iterator[Progress]:
 def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
     """Show a bar for the trials of a study, with its best loss so far."""
     with _show_bar(name, total) as (bar, task):
-
-        def update(done: int, best: float | None) -> None:
-            text = f"trials, best held-out loss {write_number(best)}, left:"
-            bar.update(task, completed=done, words=text)
-
-        yield update
+        yield lambda done, best: bar.update(
+            task, completed=done, words=f"trials, best held-out loss {write_number(best)}, left:"
+        )
 
 
 @contextmanager

@@ -91,11 +91,6 @@ class Axes:
     y_names: Sequence[str] = ()
     rules: Sequence[tuple[float, str]] = ()
 
-    @property
-    def decades(self) -> float:
-        """How many powers of ten the values span."""
-        return count_decades([curve.y for curve in self.curves])
-
 
 def count_decades(values: Sequence[np.ndarray]) -> float:
     """How many powers of ten the positive numbers among these span."""

@@ -1,16 +1,124 @@
-"""What a fit found beside the coefficients, as tables for files; without a row where the loss says nothing of it."""
+"""What a fit gives, in tables and words: coefficients, errors, numbers of laws and model, quality and verdicts."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.schema import Config
+from pipeline.data.operating import write_condition
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
-from pipeline.identification.identified import Fit
+from pipeline.evaluation.errors import CoefficientErrors
+from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
+from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.reporting.coefficient_figures import Coefficients
+from pipeline.reporting.console import table
+from pipeline.reporting.tables import Table
 from pipeline.rotor.parameters import UNITS
+from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.write_numbers import format_engineering, write_number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def make_error_table(
+    shown: Coefficients, errors: CoefficientErrors | None, beside: CoefficientErrors | None
+) -> pd.DataFrame:
+    """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
+
+    Measured data have no modelled coefficients, and so neither these columns nor errors.
+    """
+    import pandas as pd
+
+    answer, rows = shown.identified, []
+    judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
+    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
+    for b, node in enumerate(answer.nodes):
+        for name in shown.unknowns[b]:
+            error = (errors or {node: {}})[node].get(name)
+            if shown.compared and error is None:
+                continue  # a modelled coefficient of zero has no relative error
+            c = COEFFICIENTS.index(name)
+            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+            row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
+            row |= {"modelled": shown.modelled[b, :, c].mean(), "identified": answer.values[b, :, c].mean()}
+            row |= asdict(error) if error else {}
+            row |= {"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}
+            rows.append(row | {"median_std_percent": float(100 * share), "verdict": verdicts.get((node, name))})
+    return pd.DataFrame(rows).dropna(axis=1, how="all")
+
+
+def print_error_table(name: str, errors: pd.DataFrame) -> None:
+    """Print the table on the screen."""
+    columns = [column for column in _SHOWN if column in errors]
+    rows = [
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
+        for _, row in errors.iterrows()
+    ]
+    what = "identified against modelled" if "modelled" in errors else "identified"
+    table(f"{name}: {what}", ["bearing and coefficient", *(_SHOWN[column] for column in columns)], rows)
+
+
+_SHOWN = {
+    "modelled": "modelled (mean)",
+    "identified": "identified (mean)",
+    "mean_error_percent": "mean error %",
+    "median_error_percent": "median",
+    "p95_error_percent": "95 %",
+    "max_error_percent": "max",
+    "l2_error_percent": "L2",
+    "least_squares_mean_error_percent": "least squares mean error %",
+    "median_std_percent": "median std %",
+    "verdict": "verdict",
+}
+
+
+def _format(column: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
+
+
+def describe_verdicts(about: Mapping[str, Any]) -> str:
+    """Say how well each coefficient is determined, from ``determined`` of ``training.json``, and whether its ``fit``
+    lets that count."""
+    determined = about["determined"]
+    text = f"{determined['by']}: {describe_determined(read_determined(determined['coefficients']))}"
+    misfit = None if "fit" not in about else measure_misfit(about["fit"])
+    return text if misfit is None or misfit.explained() else f"were the model right, {text}; but {misfit.sentence}"
+
+
+def describe_quality(quality: Mapping[str, Any]) -> str:
+    """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
+    if "residual" in quality:
+        residual = quality["residual"]["mean_over_bearing_force"]
+        return (
+            f"no modelled coefficients, so no errors; residual {write_number(residual, digits=3)} of the bearing force"
+        )
+    fit = quality["fit"]
+    square, white = fit["chi_square"], fit["whiteness"]
+    lines = [
+        f"chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
+        f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
+        f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
+        f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
+    ]
+    lines.append(measure_misfit(fit).sentence)
+    for kind in ("held_out_speeds", "held_out_runs"):
+        if kind in fit:
+            told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]
+            if square is not None:
+                told += f" (root mean square), mean square over the noise {square:.3f}, where 1 is expected"
+            lines.append(told)
+    return "\n".join(lines)
 
 
 def tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
@@ -38,9 +146,8 @@ def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
+def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    every = fitted.parameters
     return {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
@@ -49,3 +156,136 @@ def tabulate_parameters(fitted: Fit) -> dict[str, list[Any]]:
         "value": [number.value * number.parameter.deviation for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
     }
+
+
+def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:
+    """Stated tolerance and fitted value of every model parameter."""
+    names, title = [number.parameter.name for number in fitted], f"{name}: model parameters, against what is stated"
+    table(*list_parameters(title, names, tabulate_parameters(fitted)))
+
+
+def list_parameters(
+    caption: str, names: Sequence[str], fitted: Mapping[str, Sequence[Any] | np.ndarray], told: float = 0.9
+) -> Table:
+    """A row a model parameter, of columns as in :func:`tabulate_parameters`: against what is stated.
+
+    Where the posterior is more than ``told`` of the prior, the data tell nothing.
+    """
+    rows = []
+    columns = (fitted[key] for key in ("kind", "prior_std", "value", "std"))
+    for name, kind, prior, value, deviation in zip(names, *columns, strict=True):
+        unit, factor = choose_unit(str(kind))
+        remark = "" if deviation < told * prior else "as stated: the data do not tell"
+        stated, share = f"0 +- {write_number(factor * prior, digits=3)}", write_number(value / prior, digits=2)
+        rows.append([name, unit, stated, write_number(factor * value, factor * deviation), share, remark])
+    return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)
+
+
+def choose_unit(kind: str) -> tuple[str, float]:
+    """An engineer's unit, and what the parameter's is multiplied by."""
+    unit = UNITS[kind]
+    if kind in ("bow", "runout"):
+        return "um", 1e6
+    return {"": ("%", 100.0), "rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
+
+
+_ZERO_CELSIUS = 273.15
+_UNITS = {
+    "radial_clearance": ("um", 1e6, 0.0),
+    "journal_diameter": ("mm", 1e3, 0.0),
+    "ball_diameter": ("mm", 1e3, 0.0),
+    "length": ("mm", 1e3, 0.0),
+    "viscosity": ("mPa s", 1e3, 0.0),
+    "slope": ("1/K", 1.0, 0.0),
+    "b": ("K", 1.0, 0.0),
+    "c": ("degC", 1.0, -_ZERO_CELSIUS),
+    "contact_angle": ("deg", 180.0 / np.pi, 0.0),
+}
+"""By the last part of a number's name: the unit that is shown, what SI is multiplied by, and what is added."""
+
+
+@dataclass(frozen=True)
+class EngineersNumber:
+    """A number of a bearing law as an engineer writes it."""
+
+    name: str  # such as 8.radial_clearance
+    label: str  # such as "node 8 radial clearance"
+    value: float
+    deviation: float
+    unit: str
+    guess: float
+    determined: bool
+
+
+def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[EngineersNumber]:
+    """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units."""
+    oil = None if config.machine.laws is None else config.machine.laws.oil
+    reference = getattr(oil, "reference", None)
+    numbers = []
+    for name, number in found.items():
+        where, _, what = name.partition(".")
+        unit, factor, shift = _UNITS.get(what, (number["unit"].replace(" * ", " ").replace(" / ", "/"), 1.0, 0.0))
+        place = where if where == "oil" else f"node {where}"
+        label = f"{place} {what.replace('_', ' ')}"
+        if what == "viscosity" and reference is not None:
+            label += f" at {write_condition('oil_temperature', reference)}"
+        value, guess = (factor * number[key] + shift for key in ("value", "guess"))
+        numbers.append(
+            EngineersNumber(name, label, value, factor * number["deviation"], unit, guess, number["determined"])
+        )
+    return numbers
+
+
+def print_numbers(name: str, numbers: Sequence[EngineersNumber]) -> None:
+    """A row a number; nothing of a fit without bearing laws."""
+    table(*tabulate_numbers(f"{name}: numbers of the bearing laws (+- standard deviation)", numbers))
+
+
+def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
+    """A row a number."""
+    rows = [
+        [
+            number.label,
+            write_number(number.value, number.deviation),
+            number.unit,
+            write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
+            write_number(number.guess),
+            "" if number.determined else "the data do not tell it",
+        ]
+        for number in numbers
+    ]
+    return Table(caption, ["number", "found", "unit", "+- %", "guess", ""], rows)
+
+
+def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
+    """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
+    contradiction = find_contradiction(quality, kind)
+    phrases = [] if contradiction is None else [" ".join(contradiction)]
+    phrases += [_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()]
+    law = quality.get("law", {})
+    for node, share in law.get("outside_table", {}).items():
+        if share > 0:
+            phrases.append(
+                f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+                "end of its table, whose last coefficients are continued there: give a table that goes further."
+            )
+    if law.get("starts", 1) > 1:
+        phrases.append(
+            f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."
+        )
+    return phrases
+
+
+def _describe_correction(
+    node: str, coefficients: Mapping[str, Mapping[str, float]], least_percent: float = 0.01
+) -> str:
+    """How much a network corrects the law of a bearing: what stands out of its own deviation speaks against the law."""
+    if all(max(entry["percent"], entry["deviation_percent"]) < least_percent for entry in coefficients.values()):
+        return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
+    shown = ", ".join(
+        f"{name} {write_number(entry['percent'], digits=2)} +- {write_number(entry['deviation_percent'], digits=2)} %"
+        for name, entry in coefficients.items()
+    )
+    out = list_contradicted(coefficients)
+    against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"
+    return f"The network corrects the law of node {node} by {shown} (root mean square). {against}."

@@ -82,8 +82,10 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
     if lines:
         drawing.text(0.01, 1 - 0.05 / height, "\n".join(lines), va="top", fontsize=7)
     if legend:
-        place = {"bbox_to_anchor": (0.0, 1 - above / height), "borderaxespad": 0.1, "fontsize": 7}
-        drawing.legend(handles=[_draw_key(curve) for curve in legend], loc="upper left", ncols=across, **place)
+        keys, place = [_draw_key(curve) for curve in legend], (0.0, 1 - above / height)
+        drawing.legend(
+            handles=keys, loc="upper left", ncols=across, bbox_to_anchor=place, borderaxespad=0.1, fontsize=7
+        )
     return drawing
 
 
@@ -181,9 +183,9 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         ax.set_yscale("symlog", linthresh=0.1)
         ax.yaxis.set_major_formatter(_write_tick)
     elif axes.scale == "log":
-        _set_logarithmic(ax, "y", axes.decades)
+        _set_logarithmic(ax, "y", [curve.y for curve in axes.curves])
     if panel.log_x:
-        _set_logarithmic(ax, "x", count_decades([curve.x for curve in axes.curves]))
+        _set_logarithmic(ax, "x", [curve.x for curve in axes.curves])
     for curve in axes.curves:
         _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
     for at, text in axes.rules:
@@ -213,12 +215,12 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         ax.grid(False)
 
 
-def _set_logarithmic(ax: Any, letter: str, decades: float) -> None:
+def _set_logarithmic(ax: Any, letter: str, values: Sequence[np.ndarray]) -> None:
     """Of few powers of ten, ticks between them, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     ax.set(**{f"{letter}scale": "log"})
-    if decades < 2.5:
+    if count_decades(values) < 2.5:
         axis = getattr(ax, f"{letter}axis")
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(_write_tick)

@@ -191,22 +191,15 @@ def draw_run_up(path: Path, run_up: RunUp, fit: ModalFit, steady: np.ndarray, pr
     Markers are measured, the line is the model of the ramp, dashes are its ``steady`` (S,).
     """
     modes = " and ".join(f"{write_number(float(speed))} rpm" for speed in to_rpm(fit.frequencies))
-    axes = []
-    for quantity, label in ((_size, "amplitude (µm, zero to peak)"), (_lag, "phase lag (deg)")):
-        drawn = (
-            (run_up.vectors, "measured", BLACK, "none", "o"),
-            (fit.fitted, f"ramp modelled, {modes}", BLUE, "solid", ""),
-            (steady, "the same modes at constant speeds", ORANGE, "dash", ""),
-        )
-        axes.append(Axes([Curve(to_rpm(run_up.speeds), quantity(v), *look) for v, *look in drawn], label))
+    rpm, above, below = to_rpm(run_up.speeds), [], []
+    for vectors, *look in (
+        (run_up.vectors, "measured", BLACK, "none", "o"),
+        (fit.fitted, f"ramp modelled, {modes}", BLUE, "solid", ""),
+        (steady, "the same modes at constant speeds", ORANGE, "dash", ""),
+    ):
+        above.append(Curve(rpm, MICROMETRES * np.abs(vectors), *look))
+        # Without jumps, and between -180 and 180 at the first row.
+        below.append(Curve(rpm, np.degrees(np.unwrap(-np.angle(vectors))), *look))
+    axes = [Axes(above, "amplitude (µm, zero to peak)"), Axes(below, "phase lag (deg)")]
     panel = Panel(f"{probe}, {write_number(run_up.rate / RAD_S_PER_RPM)} rpm/s", RPM, axes, wide=True)
     return write_figure(path, Figure("run-up", "", [panel], columns=1))
-
-
-def _size(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(MICROMETRES * np.abs(vectors))
-
-
-def _lag(vectors: np.ndarray) -> np.ndarray:
-    """Without jumps, and between -180 and 180 at the first row."""
-    return np.asarray(np.degrees(np.unwrap(-np.angle(vectors))))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, HeatMap, Panel
+from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, HeatMap, Panel, count_decades
 from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
 
 _SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
@@ -50,7 +50,10 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         suffix = "" if i == 0 else str(i + 1)
         y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log", axes.y_range) | {"domain": domain}
         if axes.scale == "log":
-            y |= {"dtick": "D2" if axes.decades < 1.5 else 1, "exponentformat": "power"}
+            y |= {
+                "dtick": "D2" if count_decades([curve.y for curve in axes.curves]) < 1.5 else 1,
+                "exponentformat": "power",
+            }
         layout[f"yaxis{suffix}"] = y
         kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
         for curve in axes.curves:
@@ -98,51 +101,29 @@ def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[
     if not curve.shown or not len(curve.x):
         return []
     curve = curve.thin()
-    scale = {"y": MICROMETRES_PEAK_TO_PEAK, "xy": MICROMETRES}.get(kind, 1.0)
-    wide = scale if kind == "xy" else 1.0
-    trace: dict[str, Any] = {
-        "type": "scatter",
-        "mode": _name_mode(curve),
-        "x": _round(curve.x * wide),
-        "y": _round(curve.y * scale),
-        "name": curve.label,
-        "meta": kind,
-        "opacity": curve.alpha,
-        "hoverinfo": "skip" if curve.filled or not curve.label else "all",
-    }
-    trace |= _describe_look(curve)
-    if curve.filled:
-        trace |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.25)}
-    x, low, high = curve.edges(logarithmic)
-    if not len(x):
-        return [trace]
-    look = {
-        "fill": "toself",
-        "fillcolor": _fade(curve.colour, 0.22 * curve.alpha),
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-    }
-    ends = {"x": _round(wide * np.r_[x, x[::-1]]), "y": _round(scale * np.r_[high, low[::-1]])}
-    plain = {"type": "scatter", "mode": "lines", "meta": kind, "name": "", "line": {"width": 0}}
-    return [plain | ends | look, trace]
-
-
-def _name_mode(curve: Curve) -> str:
-    drawn = ["lines"] * (curve.dash != "none") + ["markers"] * bool(curve.marker) + ["text"] * bool(curve.texts)
-    return "+".join(drawn) or "none"
+    high = {"y": MICROMETRES_PEAK_TO_PEAK, "r": MICROMETRES_PEAK_TO_PEAK, "xy": MICROMETRES}.get(kind, 1.0)
+    wide = high if kind == "xy" else 1.0
+    about: dict[str, Any] = {"name": curve.label, "meta": kind}
+    trace = about | _describe_look(curve) | {"hoverinfo": "skip" if curve.filled or not curve.label else "all"}
+    if kind == "r":
+        return [trace | {"type": "scatterpolar", "theta": _round(curve.x), "r": _round(high * curve.y)}]
+    trace |= {"type": "scatter", "x": _round(wide * curve.x), "y": _round(high * curve.y), "opacity": curve.alpha}
+    trace |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.25)} if curve.filled else {}
+    x, least, most = curve.edges(logarithmic)
+    band = about | {"type": "scatter", "mode": "lines", "name": "", "line": {"width": 0}, "hoverinfo": "skip"}
+    band |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.22 * curve.alpha)}
+    band |= {"x": _round(wide * np.r_[x, x[::-1]]), "y": _round(high * np.r_[most, least[::-1]])}
+    return [band, trace] if len(x) else [trace]
 
 
 def _describe_look(curve: Curve) -> dict[str, Any]:
     symbol = _SYMBOLS.get(curve.marker, "circle") + ("" if curve.full or curve.marker in "x" else "-open")
-    dash = curve.dash if curve.dash != "none" else "solid"
+    dash, marked = curve.dash if curve.dash != "none" else "solid", {"color": curve.colour, "symbol": symbol}
+    drawn = ["lines"] * (curve.dash != "none") + ["markers"] * bool(curve.marker) + ["text"] * bool(curve.texts)
     return {
+        "mode": "+".join(drawn) or "none",
         "line": {"color": curve.colour, "dash": dash, "width": curve.width},
-        "marker": {
-            "color": curve.colour,
-            "symbol": symbol,
-            "size": 1.5 * curve.size,
-            "line": {"color": curve.colour, "width": 1.3},
-        },
+        "marker": marked | {"size": 1.5 * curve.size, "line": {"color": curve.colour, "width": 1.3}},
         "text": list(curve.texts),
         "textposition": "top center",
         "textfont": {"size": 10, "color": curve.colour},
@@ -150,19 +131,7 @@ def _describe_look(curve: Curve) -> dict[str, Any]:
 
 
 def _describe_polar(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    traces = [
-        {
-            "type": "scatterpolar",
-            "mode": _name_mode(curve),
-            "theta": _round(curve.x),
-            "r": _round(curve.y * MICROMETRES_PEAK_TO_PEAK),
-            "name": curve.label,
-            "meta": "r",
-            "hoverinfo": "all" if curve.label else "skip",
-        }
-        | _describe_look(curve)
-        for curve in (thick.thin() for thick in panel.axes[0].curves)
-    ]
+    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
     angles = {"rotation": panel.polar, "direction": "clockwise", "gridcolor": "#e4e4e4", "ticksuffix": "°", "dtick": 45}
     radii = {"gridcolor": "#e4e4e4", "angle": 0, "nticks": 4, "tickfont": {"size": 9}}
     return traces, {"polar": {"angularaxis": angles, "radialaxis": radii, "bgcolor": "#fff"}}

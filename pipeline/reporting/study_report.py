@@ -96,12 +96,18 @@ def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
     """Make one row for each finalist and seed."""
     import pandas as pd
 
-    frames = []
-    for f in report.finalists:
-        outcomes = [outcome.label for outcome in f.outcomes]
-        columns = {"trial": f.trial, "seed": report.config.tuning.seeds, "held_out_loss": f.losses, "outcome": outcomes}
-        errors = report.errors.get(f.trial, {})
-        frames.append(pd.DataFrame(columns | {f"{name}_mean_error_percent": error for name, error in errors.items()}))
+    frames = [
+        pd.DataFrame(
+            {
+                "trial": f.trial,
+                "seed": report.config.tuning.seeds,
+                "held_out_loss": f.losses,
+                "outcome": [outcome.label for outcome in f.outcomes],
+            }
+            | {f"{name}_mean_error_percent": error for name, error in report.errors.get(f.trial, {}).items()}
+        )
+        for f in report.finalists
+    ]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -254,16 +260,20 @@ def _explain_limits(report: StudyReport) -> list[str]:
         f"training), reaches a held-out loss of {write_number(series.held_out_loss, digits=3)} at its best degree, "
         f"{series.degree}. "
     )
-    better = f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
-    text += better if room > 1 else "The default network is below that already."
+    text += (
+        f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
+        if room > 1
+        else "The default network is below that already."
+    )
     if best is report.default:
         return [text]
     sentences = [f"{text} The chosen values have {_show(max(best.median / series.held_out_loss, 1.0))} left."]
     gains, worse = [], []
     for name, limit in report.chebyshev_errors.items():
         before, after = report.medians(name)
-        gain = f"{_show(before / after)} times; series {_show(limit)} %"
-        gains.append(f"{name} {_show(before)} to {_show(after)} % ({gain})")
+        gains.append(
+            f"{name} {_show(before)} to {_show(after)} % ({_show(before / after)} times; series {_show(limit)} %)"
+        )
         worse += [name] if after > before else []
     sentences += [f"Median errors, default to chosen: {', '.join(gains)}."] if gains else []
     if worse:

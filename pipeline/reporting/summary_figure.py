@@ -27,7 +27,7 @@ from pipeline.reporting.figure import (
 )
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary_text import Results, name_channel
-from pipeline.reporting.twin_tables import measure_sizes
+from pipeline.reporting.twin import measure_sizes
 from pipeline.units import RAD_S_PER_RPM
 
 _AMPLITUDE = "amplitude (µm, zero-to-peak)"
@@ -72,7 +72,7 @@ def _draw_run(results: Results, beside: str) -> Panel:
     at = shown.measured.any(axis=1)  # points that the run was measured at
     rpm = to_rpm(results.dataset.speeds)[at]
     measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
-    label = "measured" if results.modelled is None else "measured (modelled data)"
+    label = "measured (modelled data)" if results.coefficients.compared else "measured"
     curves = [
         mark(rpm, measured, label, BLUE, count=60),
         Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
@@ -84,7 +84,11 @@ def _draw_run(results: Results, beside: str) -> Panel:
 
 def _draw_response(results: Results) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled, rpm = results.vibration["identified"], results.vibration.get("modelled"), results.rpm
+    identified, modelled, rpm = (
+        results.twin.vibration["identified"],
+        results.twin.vibration.get("modelled"),
+        results.rpm,
+    )
     curves, (sizes, deviations) = [], measure_sizes(identified)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
         size, label = sizes[:, d], f"{direction} predicted"
@@ -94,7 +98,7 @@ def _draw_response(results: Results) -> Panel:
             true = measure_sizes(modelled)[0][:, d]
             curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
         curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in results.behaviour.critical]
+    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
     title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"

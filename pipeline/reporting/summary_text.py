@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,12 @@ from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.twin_tables import measure_sizes, show, summarize_modes
-from pipeline.rotor.bearing_table import BearingTable
+from pipeline.reporting.fit_tables import describe_verdicts
+from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
-from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import Stability
-from pipeline.twin.prediction import PredictedVibration
+from pipeline.twin.twin import Twin
 from pipeline.write_numbers import count, format_engineering, write_number
 
 WIDTH = 100
@@ -56,48 +53,38 @@ class Results:
 
     rotor: RotorModel
     dataset: VibrationDataset
-    identified: BearingTable
-    modelled: BearingTable | None  # the truth of modelled data
-    unknowns: Sequence[Sequence[str]]  # of each bearing
-    deviation: np.ndarray | None  # (B, S, 8), N/m and N s/m; None where the fit states none
+    coefficients: Coefficients
     training: Mapping[str, Any]  # training.json
     judged: Mapping[str, Any]  # the whole, of verdicts.json
     shown: ShownRun
-    vibration: Mapping[str, PredictedVibration]  # of the unbalance that no run has, by system
-    behaviour: Behaviour  # of the identified system
-    at: int  # index of the prediction's speed among those of the vibration
-    operating: Mapping[str, float] = field(default_factory=dict)  # conditions of the prediction, SI
-    beyond: Sequence[str] = ()  # which of them lie outside the data, in words
+    twin: Twin
+    beyond: Sequence[str] = ()  # which of the twin's conditions lie outside the data, in words
     numbers: Sequence[str] = ()  # of bearing laws, with their deviations
 
     @property
     def rpm(self) -> np.ndarray:
         """(U,) the different speeds, those of the prediction."""
-        return to_rpm(self.vibration["identified"].speeds)
+        return to_rpm(self.twin.vibration["identified"].speeds)
 
     @property
     def state(self) -> str:
         """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
-        return f", {name_state(self.operating)}" if self.operating else ""
-
-    @cached_property
-    def coefficients(self) -> Coefficients:
-        """The answer as figures and tables have it."""
-        return Coefficients.collect(self.identified, self.modelled, self.unknowns, self.deviation)
+        return f", {name_state(self.twin.operating)}" if self.twin.operating else ""
 
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
-        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.operating)
+        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.twin.operating)
         shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
-        at = replace(self, dataset=self.dataset.at(points), identified=self.identified.at(points), shown=shown)
-        at.__dict__["coefficients"] = self.coefficients.at(points)
-        return label, at
+        at = self.coefficients.at(points)
+        return label, replace(self, dataset=self.dataset.at(points), coefficients=at, shown=shown)
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     head = _wrap(f"{config.name}: {config.description}", "", 1)
-    modes: Mapping[str, Any] = summarize_modes(results.behaviour, config.machine.prediction.speed_rpm)
+    modes: Mapping[str, Any] = summarize_modes(
+        results.twin.behaviour["identified"], config.machine.prediction.speed_rpm
+    )
     rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
     parts = [
         *_wrap_entry("machine", _describe_machine(config, results)),
@@ -143,7 +130,7 @@ def _describe_data(config: Config, results: Results) -> str:
     states = [label for label, _ in split_states(data.speeds, data.operating)]
     at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {config.data.baseline}" if config.data.baseline else ""
-    kind = "measured" if results.modelled is None else "modelled"
+    kind = "modelled" if results.coefficients.compared else "measured"
     return (
         f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
         f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
@@ -152,28 +139,30 @@ def _describe_data(config: Config, results: Results) -> str:
 
 def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
     """Heads and points of the table: up to three speeds, or up to three states at the prediction's speed."""
-    rpm = to_rpm(results.identified.speeds)
+    answer, rpm = results.coefficients.identified, results.coefficients.rpm
     if config.model.kind == "constant":
         return [("at every speed", 0)]
-    if not results.identified.operating:
-        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.at, len(rpm) - 1})]
-    states = split_states(results.identified.speeds, results.identified.operating)
+    if not answer.operating:
+        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.twin.at, len(rpm) - 1})]
+    states = split_states(answer.speeds, answer.operating)
     shown = [states[i] for i in sorted({0, (len(states) - 1) // 2, len(states) - 1})]
-    return [(label, int(points[np.abs(rpm[points] - results.rpm[results.at]).argmin()])) for label, points in shown]
+    return [
+        (label, int(points[np.abs(rpm[points] - results.rpm[results.twin.at]).argmin()])) for label, points in shown
+    ]
 
 
 def _list_coefficients(config: Config, results: Results) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
     shown, columns = results.coefficients, _pick_columns(config, results)
-    several = len(columns) > 1 and bool(results.identified.operating)
-    speed = f" at {results.rpm[results.at]:g} rpm" if several else ""
-    known = " +- one standard deviation" if np.isfinite(shown.deviation).any() else ""
+    several = len(columns) > 1 and bool(shown.identified.operating)
+    speed = f" at {results.rpm[results.twin.at]:g} rpm" if several else ""
+    known = " +- one standard deviation" if shown.stated else ""
     against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
     heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
     lines = [f"identified{speed}{known}{against}", f"{'':20}{heads}"]
-    rows = [(b, name) for b, names in enumerate(results.unknowns) for name in names]
+    rows = [(b, name) for b, names in enumerate(shown.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
-        row, c = f"  {f'node {results.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
+        row, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
         for _, s in columns:
             value, deviation = shown.identified.values[b, s, c], shown.deviation[b, s, c]
             row += f"{format_engineering(float(value), float(deviation)):>22}"
@@ -194,29 +183,28 @@ def _describe_verdict(results: Results) -> str:
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
-        loss, held_out = training.get("loss"), training.get("held_out_loss")
-        left = f"residual {write_number(loss, digits=2)} of the bearing force"
-        seen = "" if held_out is None else f", {write_number(held_out, digits=2)} at held-out speeds"
-        return ("the loss overflowed" if loss is None else left) + seen
-    fit = training["fit"]
-    square = fit["chi_square"]
+        loss, held_out = (training.get(key) for key in ("loss", "held_out_loss"))
+        left = (
+            "the loss overflowed" if loss is None else f"residual {write_number(loss, digits=2)} of the bearing force"
+        )
+        return left if held_out is None else f"{left}, {write_number(held_out, digits=2)} at held-out speeds"
+    fit, kind = training["fit"], "held_out_speeds"
+    square, misfit = fit["chi_square"], measure_misfit(fit)
     text = (
         f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
     )
-    misfit = measure_misfit(fit)
     text += "" if misfit.explained() else f"; {misfit.sentence}"
-    kind = "held_out_speeds"
     return text + (f"; {describe_held_out(kind, fit[kind])}" if kind in fit else "")
 
 
 def _describe_run(results: Results) -> str:
     shown = results.shown
-    share = write_number(shown.error_percent, digits=2)
-    text = f"{share} % (root mean square, {count(shown.measured.shape[1], 'channel')})"
-    if shown.held_out:
-        return f"held-out run {shown.name} predicted to {text}"
-    return f"run {shown.name}, which was fitted, reproduced to {text}"
+    what = (
+        f"held-out run {shown.name} predicted" if shown.held_out else f"run {shown.name}, which was fitted, reproduced"
+    )
+    share, channels = write_number(shown.error_percent, digits=2), count(shown.measured.shape[1], "channel")
+    return f"{what} to {share} % (root mean square, {channels})"
 
 
 def _list_critical_speeds(results: Results, critical: Mapping[str, Any]) -> str:
@@ -243,17 +231,17 @@ def _describe_stability(stability: Mapping[str, Any]) -> str:
 
 def _describe_prediction(config: Config, results: Results) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
-    identified = results.vibration["identified"]
+    identified = results.twin.vibration["identified"]
     rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    at = zip("xy", size[results.at].tolist(), deviation[results.at].tolist(), strict=True)
+    at = zip("xy", size[results.twin.at].tolist(), deviation[results.twin.at].tolist(), strict=True)
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {identified.node} at {rpm[results.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
+        f"node {identified.node} at {rpm[results.twin.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
         f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 
@@ -271,6 +259,6 @@ def _join(things: Iterable[object]) -> str:
 
 def _name_nodes(nodes: Iterable[int]) -> str:
     every = sorted(nodes)
-    if len(every) > 3 and every == list(range(every[0], every[-1] + 1)):
+    if len(every) > 3 and np.ptp(every) == len(every) - 1:
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"

@@ -50,13 +50,16 @@ def run(analysis: Analysis) -> StageOutput:
     method = fitted.pick(config.balance.method, "balance.method")
     planes = fitted.models[method].planes
     by_method: dict[str, Estimates] = {}
+    rows: list[dict[str, Any]] = []
     for name, model in fitted.models.items():
         if file:
             readings = _read(config, file, model)
             by_method[name] = estimate_all(readings, [model] * len(readings.names))
         else:
             by_method[name] = estimate_all(describe_conditions(fitted.conditions), fitted.leave_each_out(name))
-        print_estimates(config.name, name, by_method[name], model.planes, source)
+        tabled = tabulate_estimates(name, by_method[name], planes, source)
+        print_estimates(config.name, name, tabled)
+        rows += tabled
         if not file and not fitted.can_leave_out(name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     summary: dict[str, Any] = {
@@ -69,7 +72,7 @@ def run(analysis: Analysis) -> StageOutput:
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
-        write_table(work.folder / "balance.csv", tabulate_estimates(by_method, planes, source)),
+        write_table(work.folder / "balance.csv", rows),
         write_json(work.folder / "balance.json", summary),
         draw_balance(work.figure("balance"), method, by_method[method], planes, source),
     ]
@@ -118,11 +121,11 @@ def _correct(
     grade = given.tolerance
     tolerance = share_tolerance(rotor, model.planes, grade.permissible(rotor.total_mass)) if grade else None
     title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
-    print_sheet(title, sheet, model.planes, source, tolerance)
+    described = describe_sheet(sheet, model.planes, source, tolerance)
+    print_sheet(title, described)
     if len(every) > 1:
         print_fewer(every, model.planes, source)
     rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)
     print_vibration_change(rows, source.unit)
     asked_for = {"remove": asked.remove, "condition": asked.condition, "minimise": asked.minimise}
-    sheet_record = describe_sheet(sheet, model.planes, source, tolerance)
-    return sheet_record | {"method": method} | asked_for | {"vibration": rows}
+    return described | {"method": method} | asked_for | {"vibration": rows}

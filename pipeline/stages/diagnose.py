@@ -15,16 +15,19 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.budget import budget_percent
 from pipeline.problem.determination import describe_determined, summarize_determined
 from pipeline.problem.identifiability import Solvability
-from pipeline.reporting.combinations import describe_combinations, summarize_combinations
 from pipeline.reporting.console import say
-from pipeline.reporting.diagnosis_figure import draw_diagnosis
-from pipeline.reporting.diagnosis_tables import (
+from pipeline.reporting.diagnosis import (
+    describe_combinations,
+    draw_budget,
+    draw_diagnosis,
+    name_tolerance,
+    print_budget,
     print_determined,
     print_diagnosis,
+    summarize_combinations,
     summarize_diagnosis,
     tabulate_diagnosis,
 )
-from pipeline.reporting.model_error import Budget, draw_budget, print_budget
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.law_diagnosis import diagnose_laws
@@ -78,12 +81,12 @@ def _write_budget(analysis: Analysis) -> list[Path]:
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes
     shared = measurement.unknowns.shared
     coefficients = [names[u] if shared else f"{names[u]} node {nodes[m]}" for m, u in measurement.unknowns.active]
-    budget = Budget(stated, coefficients, percent)
-    print_budget(config.name, budget)
+    named = {name_tolerance(kind, stated[kind]): values for kind, values in percent.items()}
+    print_budget(config.name, coefficients, named)
     columns = {f"{kind}_percent": values for kind, values in percent.items()}
     return [
         write_table(work.folder / "systematic_budget.csv", {"coefficient": coefficients, **columns}),
-        draw_budget(work.figure("systematic_budget"), budget),
+        draw_budget(work.figure("systematic_budget"), coefficients, named),
     ]
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
@@ -23,16 +20,21 @@ from pipeline.evaluation.physical_numbers import judge_numbers
 from pipeline.files import write_json
 from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
-from pipeline.reporting.coefficient_figures import draw_coefficients, draw_identified, draw_states
+from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.error_table import describe_quality, describe_verdicts, make_error_table, print_error_table
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
+from pipeline.reporting.fit_tables import (
+    describe_law,
+    describe_quality,
+    describe_verdicts,
+    list_numbers,
+    make_error_table,
+    print_error_table,
+    print_numbers,
+)
 from pipeline.reporting.training_figures import draw_history
-from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore
-from pipeline.stages.workspace import Workspace
 from pipeline.twin.superposition import compare_held_out
 
 
@@ -67,7 +69,8 @@ def run(analysis: Analysis) -> StageOutput:
             metrics["least_squares"] = list_metrics(beside)
         if deviation is not None:
             metrics["within_95_percent_interval"] = list_coverage(table, modelled, deviation, names)
-    rows = make_error_table(table, names, modelled, errors, beside, deviation)
+    shown = Coefficients.collect(table, modelled, names, deviation)
+    rows = make_error_table(shown, errors, beside)
     written.append(write_table(files.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
     if "determined" in quality:
@@ -91,32 +94,14 @@ def run(analysis: Analysis) -> StageOutput:
         metrics["held_out"] = _judge_held_out(config, answer)
     written += [
         draw_history(files.figure("training"), files.history, loss.label),
-        *_draw(files, table, modelled, names, deviation),
+        *(draw_coefficients(files.figure(name), shown, letter) for name, letter in _FIGURES.items()),
         write_json(files.metrics, metrics),
         write_json(files.folder / "summary.json", summary),
     ]
     return StageOutput(metrics, answer.tags, [*written, files.identified])
 
 
-def _draw(
-    work: Workspace,
-    answer: BearingTable,
-    modelled: BearingTable | None,
-    names: Sequence[Sequence[str]],
-    deviation: np.ndarray | None,
-) -> list[Path]:
-    """The coefficients over the speed; with operating conditions a line a state."""
-    letters = {"stiffness": "k", "damping": "c"}
-    if answer.operating:
-        shown = {"identified": None, **letters}
-        return [
-            draw_states(work.figure(name), answer, modelled, names, deviation, letter) for name, letter in shown.items()
-        ]
-    over_speed = [
-        draw_coefficients(work.figure(name), letter, answer, modelled, names, deviation)
-        for name, letter in letters.items()
-    ]
-    return [draw_identified(work.figure("identified"), answer, modelled, names, deviation), *over_speed]
+_FIGURES = {"identified": "", "stiffness": "k", "damping": "c"}
 
 
 def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, object]]:

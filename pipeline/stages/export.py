@@ -6,7 +6,7 @@ from pipeline.export.coefficients import Number
 from pipeline.export.folder import export_at, list_states, write_exports
 from pipeline.files import read_json, write_folder
 from pipeline.reporting.console import say
-from pipeline.reporting.physical_numbers import list_numbers
+from pipeline.reporting.fit_tables import list_numbers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import restore

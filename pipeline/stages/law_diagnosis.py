@@ -17,7 +17,7 @@ from pipeline.problem.law_information import (
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, table, warn
-from pipeline.reporting.physical_numbers import list_numbers
+from pipeline.reporting.fit_tables import list_numbers
 
 
 def diagnose_laws(config: Config, measurement: Measurement, noise: str) -> dict[str, Any]:

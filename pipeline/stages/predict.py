@@ -12,8 +12,16 @@ from pipeline.data.operating import name_state
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.twin_figures import draw_campbell, draw_orbit, draw_response, draw_time
-from pipeline.reporting.twin_tables import print_twin, summarize_modes, tabulate_modes, tabulate_vibration
+from pipeline.reporting.twin import (
+    draw_campbell,
+    draw_orbit,
+    draw_response,
+    draw_time,
+    print_twin,
+    summarize_modes,
+    tabulate_modes,
+    tabulate_vibration,
+)
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import ANSWER, load_modelled, restore

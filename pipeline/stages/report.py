@@ -14,10 +14,11 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import hash_file, read_json
-from pipeline.ingest.full_spectrum import measure_full_spectra
+from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.report.content import FitContent, ReportContent, Waveforms
+from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.sections import list_sections
@@ -47,7 +48,7 @@ _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
     ),
 }
 """Tables that sections read: columns that they need, and columns that may be there."""
-_MOST_WAVEFORMS = 2
+_MOST_SPECTRA = 2
 """Runs, and nodes of each, whose spectra are drawn."""
 
 
@@ -82,7 +83,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
         config=config,
         measurement=measurement,
         fit=fit,
-        waveforms=_read_waveforms(config),
+        spectra=_read_spectra(config),
         files={name: read_json(path) for name, path in contents.items() if path.exists()} | judged,
         tables={} if fit is None else _read_tables(work),
         reference=reference,
@@ -99,7 +100,7 @@ def _make_current(analysis: Analysis, fit: FitContent | None) -> None:
     analysis.require("evaluate", work.metrics, behind=work.training)
     modes = work.folder / "modes.csv"
     analysis.require("predict", modes, behind=work.training)
-    if read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.operating):
+    if read_json(work.folder / "prediction.json").get("operating", {}) != dict(fit.twin.operating):
         say(f"'{modes}' is of other operating conditions: running stage=predict first")
         analysis.run("predict")
 
@@ -118,18 +119,14 @@ def _read_fit(analysis: Analysis) -> FitContent | None:
     factors = read_json(analysis.files.training).get("fit", {}).get("noise_factor")
     factor = np.array(list(factors.values())) if factors and len(factors) == len(data.channels) else None
     return FitContent(
-        bearings=answer.table,
-        deviation=answer.deviation(answer.table),
-        unknowns=answer.names,
-        modelled=load_modelled(config, updated),
+        coefficients=Coefficients.collect(
+            answer.table, load_modelled(config, updated), answer.names, answer.deviation(answer.table)
+        ),
+        at_conditions=Coefficients.collect(at_conditions, None, answer.names, answer.deviation(at_conditions)),
         predicted=updated.response.predict(answer.table, answer.unbalance),
         noise=updated.deviation_of(data.displacement, updated.baseline, 1.0 if factor is None else factor),
-        at_conditions=at_conditions,
-        at_deviation=answer.deviation(at_conditions),
-        operating=twin.operating,
+        twin=twin,
         beyond=say_beyond(data.operating, twin.operating),
-        modes=twin.behaviour["identified"].modes,
-        rotor=updated.updated_rotor,
     )
 
 
@@ -156,14 +153,13 @@ def _read_reference(path: Path) -> dict[str, np.ndarray]:
     return columns
 
 
-def _read_waveforms(config: Config) -> list[Waveforms]:
+def _read_spectra(config: Config) -> dict[str, FullSpectra]:
     """Spectra of the first runs, where there are time signals at hand; a warning where their files are gone."""
-    recordings = config.machine.recordings
+    recordings, by_title = config.machine.recordings, {}
     if config.data.vibration is not None:
-        return []
-    waveforms: list[Waveforms] = []
-    nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_WAVEFORMS]
-    for measured in recordings.runs[:_MOST_WAVEFORMS]:
+        return {}
+    nodes = sorted({probe.node for probe in recordings.probes.values()})[:_MOST_SPECTRA]
+    for measured in recordings.runs[:_MOST_SPECTRA]:
         try:
             records = recordings.read_signals(measured)
         except DataError as error:
@@ -172,9 +168,8 @@ def _read_waveforms(config: Config) -> list[Waveforms]:
         for node in nodes:
             spectra = measure_full_spectra(records, recordings.probes, node)
             if spectra is not None:
-                shown = (spectra.speeds, spectra.orders, spectra.spectrum, spectra.centre)
-                waveforms.append(Waveforms(node, measured.name, *shown))
-    return waveforms
+                by_title[f"{measured.name}, node {node}"] = spectra
+    return by_title
 
 
 def _describe_origin(config: Config, work: Workspace, measurement: Measurement) -> dict[str, str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pipeline.files import write_json
+from pipeline.identification.fit import default_setup
 from pipeline.identification.quality import finite
 from pipeline.identification.senses import try_senses
 from pipeline.identification.training import setup_of
@@ -21,8 +24,12 @@ def run(analysis: Analysis) -> StageOutput:
     """
     config = analysis.config
     use_threads(config)
-    measurement = prepare(analysis)
-    senses = try_senses(measurement, setup_of(config), lambda sense: say(f"{config.name}: {sense.words}"))
+    measurement, setup = prepare(analysis), setup_of(config)
+    if config.model.families:  # which sense explains the readings asks for no population of bearings: sixteen fits
+        setup = replace(setup, model=default_setup(measurement.guess).model)
+        parameters = tuple(p for p in measurement.parameters if p.kind in config.identify.model_parameters.deviations)
+        measurement = replace(measurement, parameters=parameters)
+    senses = try_senses(measurement, setup, lambda sense: say(f"{config.name}: {sense.words}"))
     header = ["phase of readings", "angle of weights", "rotation", "chi-square beyond the least", "the same mirrored"]
     rows, listed = [], []
     for trial in senses.trials:

@@ -9,8 +9,9 @@ from pipeline.data.as_built import stand_on_pedestals
 from pipeline.files import read_json, write_text
 from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say
-from pipeline.reporting.physical_numbers import list_numbers
+from pipeline.reporting.fit_tables import list_numbers
 from pipeline.reporting.summary_figure import draw_summary
 from pipeline.reporting.summary_text import Results, ShownRun, write_summary
 from pipeline.stages.analysis import Analysis
@@ -44,17 +45,11 @@ def _collect_results(analysis: Analysis, answer: Answer, twin: Twin) -> Results:
     return Results(
         rotor=answer.measurement.rotor,
         dataset=data,
-        identified=answer.table,
-        modelled=modelled,
-        unknowns=answer.names,
-        deviation=answer.deviation(answer.table),
+        coefficients=Coefficients.collect(answer.table, modelled, answer.names, answer.deviation(answer.table)),
         training=training,
         judged=load_judgement(analysis)["machine"],
         shown=_choose_run(config, answer),
-        vibration=twin.vibration,
-        behaviour=twin.behaviour["identified"],
-        at=twin.at,
-        operating=twin.operating,
+        twin=twin,
         beyond=say_beyond(data.operating, twin.operating),
         numbers=[
             f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"

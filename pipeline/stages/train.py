@@ -23,10 +23,16 @@ from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
-from pipeline.reporting.error_table import describe_verdicts
-from pipeline.reporting.fit_tables import tabulate_bad_points, tabulate_parameters, tabulate_unbalance
-from pipeline.reporting.model_error import print_parameters
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, print_numbers
+from pipeline.reporting.fit_tables import (
+    describe_law,
+    describe_verdicts,
+    list_numbers,
+    print_numbers,
+    print_parameters,
+    tabulate_bad_points,
+    tabulate_parameters,
+    tabulate_unbalance,
+)
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import describe_noise, say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -140,7 +146,7 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
         write_coefficients(work.identified, answer.table, deviation=answer.deviation(answer.table)),
         write_table(work.folder / "bad_points.csv", tabulate_bad_points(fitted)),
         write_table(work.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
-        write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted)),
+        write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted.parameters)),
         write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in fitted.history]),
         write_json(work.training, about | dict(summary)),
     ]

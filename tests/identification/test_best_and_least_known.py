@@ -17,7 +17,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
-from pipeline.reporting.combinations import describe_combinations, summarize_combinations
+from pipeline.reporting.diagnosis import describe_combinations, summarize_combinations
 from pipeline.rotor.parameters import ModelParameter
 
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)

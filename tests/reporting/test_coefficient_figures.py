@@ -11,7 +11,7 @@ import pytest
 from warm_rotor import CELSIUS, SPEEDS, warm_bearings, warm_machine
 
 from pipeline.reporting import coefficient_figures, measured_figures
-from pipeline.reporting.coefficient_figures import draw_states, pick_states
+from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients, pick_states
 from pipeline.reporting.figure import Curve, Figure
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.measured_figures import draw_bode
@@ -47,7 +47,7 @@ def table() -> Any:
 @pytest.mark.slow
 def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path: Path) -> None:
     bearings = table()
-    draw_states(tmp_path / "a.png", bearings, None, NAMES, 0.1 * np.abs(bearings.values))
+    draw_coefficients(tmp_path / "a.png", Coefficients.collect(bearings, None, NAMES, 0.1 * np.abs(bearings.values)))
     lines = lines_of(drawn[0])
     assert len(lines) == 5 * len(CELSIUS)
     for line in lines:
@@ -59,13 +59,13 @@ def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path:
 def test_one_letter_has_the_errors_below(drawn: list[Figure], tmp_path: Path) -> None:
     bearings = table()
     modelled = replace(bearings, values=1.02 * bearings.values)
-    draw_states(tmp_path / "k.png", bearings, modelled, NAMES, None, "k")
+    draw_coefficients(tmp_path / "k.png", Coefficients.collect(bearings, modelled, NAMES, None), "k")
     assert [len(panel.axes) for panel in drawn[0].panels] == [2, 2, 2]  # three stiffnesses, and their errors
     errors = lines_of(drawn[0], 1)
     assert len(errors) == 3 * len(CELSIUS)
     for line in errors:
         np.testing.assert_allclose(line.y, 100 * (1 - 1 / 1.02))
-    draw_states(tmp_path / "c.png", bearings, modelled, [["kxx"], ["kyy"]], None, "c")
+    draw_coefficients(tmp_path / "c.png", Coefficients.collect(bearings, modelled, [["kxx"], ["kyy"]], None), "c")
     titles = [panel.title for panel in drawn[1].panels]
     assert titles == [f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")]
 

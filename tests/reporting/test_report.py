@@ -18,9 +18,8 @@ from pipeline.reporting.figure import Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.measured_figures import find_lag
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
-from pipeline.reporting.report.response import find_peak
-from pipeline.reporting.report.section import Paragraph, Section, typeset
-from pipeline.reporting.tables import Amplitude, Mark, Table
+from pipeline.reporting.report.twin import find_peak
+from pipeline.reporting.tables import Amplitude, Mark, Paragraph, Section, Table, typeset
 from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from pipeline.evaluation.physical_numbers import find_contradiction
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
+from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.trust.verdict import Verdict, judge_contradiction
 
 OIL = SimpleNamespace(reference=55 + 273.15)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.reporting.error_table import describe_quality, describe_verdicts
+from pipeline.reporting.fit_tables import describe_quality, describe_verdicts
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 
 

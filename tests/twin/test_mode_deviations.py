@@ -10,7 +10,7 @@ import pytest
 from conftest import Machine
 
 from pipeline.reporting.summary_text import _describe_stability
-from pipeline.reporting.twin_tables import summarize_modes
+from pipeline.reporting.twin import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing

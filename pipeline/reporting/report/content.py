@@ -15,13 +15,13 @@ import numpy as np
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
 from pipeline.data.vibration_files import to_rpm
+from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
-from pipeline.reporting.report.section import Paragraph
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel
+from pipeline.reporting.tables import Paragraph
 from pipeline.twin.modes import WhirlModes
+from pipeline.twin.twin import Twin
 
 MOST_PROBES, MOST_RUNS = 8, 6
 """So many are drawn; a sentence says that there are more."""
@@ -29,56 +29,41 @@ MOST_PROBES, MOST_RUNS = 8, 6
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A direction in which a node was seen: its vectors are ``displacement @ weights``."""
+    """A direction in which a node was seen."""
 
     name: str
     node: int
     angle: float  # degrees, from x towards y
     weights: np.ndarray  # (P,)
 
+    def read(self, vectors: np.ndarray) -> np.ndarray:
+        """(S, R) what is seen of the ``vectors`` (S, P, R) of all channels."""
+        return np.asarray(vectors.transpose(0, 2, 1) @ self.weights)
 
-@dataclass(frozen=True, eq=False)
-class Waveforms:
-    """What time signals show of one node beyond 1X, of one run. Legend: T parts of the record, K orders."""
-
-    node: int
-    run: str
-    speeds: np.ndarray  # (T,) rad/s
-    orders: np.ndarray  # (K,) negative is backward
-    spectrum: np.ndarray  # (T, K) m, amplitude of the full spectrum
-    centre: np.ndarray  # (T, 2) m, mean x and y
+    def read_noise(self, noise: np.ndarray) -> np.ndarray:
+        """(S, R) root mean square of the noise of what is seen, from that of all channels (S, P, R)."""
+        return np.asarray(np.sqrt(noise.transpose(0, 2, 1) ** 2 @ self.weights**2))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FitContent:
     """What was identified, and how it follows the readings.
 
-    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: ``bearings`` where
-    the data have no conditions. The modes are theirs.
+    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: the same where the
+    data have no conditions. The twin's modes are theirs.
     """
 
-    bearings: BearingTable
-    deviation: np.ndarray | None  # (B, S, 8) N/m and N s/m
-    unknowns: Sequence[Sequence[str]]  # of each bearing
-    modelled: BearingTable | None  # the truth of modelled data
+    coefficients: Coefficients
+    at_conditions: Coefficients
     predicted: np.ndarray  # (S, P, R) complex, m
     noise: np.ndarray  # (S, P, R) m, root mean square of each reading's noise
-    at_conditions: BearingTable
-    at_deviation: np.ndarray | None  # (B, U, 8) of them
-    operating: Mapping[str, float]  # SI; empty without conditions
-    beyond: Sequence[str]  # which of them lie outside the data, in words
-    modes: WhirlModes
-    rotor: RotorModel  # at the fitted model parameters
+    twin: Twin
+    beyond: Sequence[str]  # which of the twin's conditions lie outside the data, in words
 
-    @cached_property
-    def shown(self) -> Coefficients:
-        """The answer as figures and tables have it."""
-        return Coefficients.collect(self.bearings, self.modelled, self.unknowns, self.deviation)
-
-    @cached_property
-    def shown_at_conditions(self) -> Coefficients:
-        """The same at the conditions of the prediction."""
-        return Coefficients.collect(self.at_conditions, None, self.unknowns, self.at_deviation)
+    @property
+    def modes(self) -> WhirlModes:
+        """Those of the identified machine."""
+        return self.twin.behaviour["identified"].modes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,7 +73,7 @@ class ReportContent:
     config: Config
     measurement: Measurement
     fit: FitContent | None  # None where the data determine nothing
-    waveforms: Sequence[Waveforms]
+    spectra: Mapping[str, FullSpectra]  # beyond 1X, of time signals, by run and node
     files: Mapping[str, Mapping[str, Any]]
     tables: Mapping[str, Mapping[str, np.ndarray]]  # CSV files by name
     reference: Mapping[str, np.ndarray]  # coefficients to compare with, at speeds of their own; empty without any
@@ -108,11 +93,9 @@ class ReportContent:
     def probes(self) -> tuple[View, ...]:
         """Every probe: those that recorded, or the channels of the data where these are all that is known."""
         data, recordings = self.dataset, self.config.machine.recordings
-        if not recordings.probes or not self.config_owns_data:
-            unit = np.eye(len(data.channels))
-            return tuple(
-                View(name_channel(channel), channel[0], channel[1], unit[p]) for p, channel in enumerate(data.channels)
-            )
+        if not recordings.probes or self.config.data.vibration is not None:
+            units = np.eye(len(data.channels))
+            return tuple(View(name_channel(seen), *seen, unit) for seen, unit in zip(data.channels, units, strict=True))
         listed = []
         for name, probe in recordings.probes.items():
             weights, angle = np.zeros(len(data.channels)), float(np.degrees(probe.angle))
@@ -120,11 +103,6 @@ class ReportContent:
                 weights[data.channels.index((probe.node, direction))] = cosine
             listed.append(View(name, probe.node, angle, weights))
         return tuple(listed)
-
-    @property
-    def config_owns_data(self) -> bool:
-        """Whether the recordings of the machine made the data."""
-        return self.config.data.vibration is None
 
     @cached_property
     def shown_probes(self) -> tuple[View, ...]:
@@ -143,10 +121,14 @@ class ReportContent:
         rest = [r for r in range(len(self.dataset.runs)) if r not in held]
         return tuple(sorted([*rest[: max(MOST_RUNS - len(held), 0)], *held]))
 
+    @property
+    def weighs_noise(self) -> bool:
+        """Whether the loss of the fit does."""
+        return "fit" in self.files.get("training", {})
+
     def held_out(self, run: int) -> bool:
         """Whether the run was predicted rather than fitted."""
-        weighs = "fit" in self.files.get("training", {})
-        return weighs and self.dataset.runs[run] in self.config.training.holdout_runs
+        return self.weighs_noise and self.dataset.runs[run] in self.config.training.holdout_runs
 
     @cached_property
     def looks(self) -> dict[int, dict[str, Any]]:

@@ -1,24 +1,156 @@
-"""How the model follows the readings: each probe, what was held out, and the tests of the fit."""
+"""What was identified, and how the model follows the readings.
+
+Stiffness and damping over speed with their bands, beside what else is known of them. With operating conditions it is a
+panel a coefficient and a line a state, cold to hot; beside the measured states stands that of the prediction, measured
+or not. Of each probe the residuals, what was held out, and the tests of the fit.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from pipeline.reporting.figure import RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.operating import name_state, split_states
+from pipeline.reporting.coefficient_figures import (
+    KINDS,
+    UNITS,
+    Coefficients,
+    draw_bearing,
+    draw_state_panels,
+    list_states,
+)
+from pipeline.reporting.figure import GREEN, LOOKS, RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.model_error import list_parameters
-from pipeline.reporting.report.content import FitContent, ReportContent, View
-from pipeline.reporting.report.measured import vectors_of
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Table
+from pipeline.reporting.report.content import FitContent, ReportContent
+from pipeline.reporting.tables import Block, Paragraph, Section, Table
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
+
+_MOST_TABLES, _ROWS = 4, 5
+
+
+def describe_coefficients(content: ReportContent, fit: FitContent) -> Section:
+    """Figures over speed and a table."""
+    text = "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y."
+    if not fit.coefficients.stated:
+        text += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
+    else:
+        text += (
+            " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise,"
+            " what is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
+        )
+    if fit.coefficients.compared:
+        text += " The data were modelled, so that the true coefficients are known; the fit did not read them."
+    states = _list_states(fit)
+    tabled = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, _MOST_TABLES).round().astype(int))]
+    shown: list[Block] = [_list_coefficients(*state) for state in tabled]
+    shown += [_draw_values(content, fit, states, letter) for letter in "kc"]
+    return Section("coefficients", "Stiffness and damping", (Paragraph(text), *shown, *_compare(content, fit)))
+
+
+def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
+    """The measured states, and that of the prediction where it is none of them; one without conditions."""
+    measured, asked = list_states(fit.coefficients), name_state(fit.twin.operating)
+    if any(
+        label == asked
+        for label, _ in split_states(fit.coefficients.identified.speeds, fit.coefficients.identified.operating)
+    ):
+        return measured
+    return [*measured, (f"{asked} (not measured)", fit.at_conditions)]
+
+
+def _draw_values(
+    content: ReportContent, fit: FitContent, states: list[tuple[str, Coefficients]], letter: str
+) -> Figure:
+    shown, over = fit.coefficients, f"{KINDS[letter].capitalize()} over the speed: "
+    if shown.identified.operating:
+        asked = GREEN if states[-1][1] is fit.at_conditions else ""
+        panels = draw_state_panels(states, letter, False, asked) if shown.choose(letter) else []
+        over += "a panel a coefficient, a colour a state of the operating conditions"
+    else:
+        panels = [
+            _add_reference(draw_bearing(shown, b, letter), content.reference, node, letter)
+            for b, node in enumerate(shown.identified.nodes)
+        ]
+        over += "markers are identified (dashed where known)"
+        over += ", filled markers the reference" if content.reference else ""
+    over += ", bands hold the nominal 95 %" if shown.stated else ""
+    over += ", black lines are the modelled truth" if shown.compared else ""
+    return Figure(KINDS[letter], over + ".", panels)
+
+
+def _add_reference(panel: Panel, reference: Mapping[str, np.ndarray], node: int, letter: str) -> Panel:
+    """The panel of a bearing with the coefficients that are compared with."""
+    curves, names = list(panel.axes[0].curves), [name for name in COEFFICIENTS if name[0] == letter]
+    for name, (colour, marker) in zip(names, LOOKS, strict=False):
+        if name in reference:
+            rows = reference["bearing_node"] == node
+            given = UNITS[letter][0] * reference[name][rows]
+            rpm, label = reference["speed_rpm"][rows], f"{name} reference"
+            curves.append(Curve(rpm, given, label, colour, "none", marker, full=True))
+    return replace(panel, axes=[replace(panel.axes[0], curves=curves)])
+
+
+def _list_coefficients(label: str, shown: Coefficients) -> Table:
+    """The identified coefficients of a state at a few speeds; constants once."""
+    places = [(b, name, COEFFICIENTS.index(name)) for b, names in enumerate(shown.unknowns) for name in names]
+    constant = all(np.ptp(shown.identified.values[b, :, c]) == 0 for b, _, c in places)
+    at = [0] if constant else np.unique(np.linspace(0, len(shown.rpm) - 1, _ROWS).round().astype(int)).tolist()
+    rows = []
+    for b, name, c in places:
+        scale, unit = UNITS[name[0]]
+        values, deviations = scale * shown.identified.values[b, at, c], scale * shown.deviation[b, at, c]
+        cells = [write_number(*pair, 5) for pair in zip(values.tolist(), deviations.tolist(), strict=True)]
+        rows.append([f"node {shown.identified.nodes[b]} {name}, {unit}", *cells])
+    heads = ["at every speed"] if constant else [f"{write_number(rpm, digits=6)} rpm" for rpm in shown.rpm[at]]
+    stated = " +- one standard deviation" if shown.stated else ""
+    return Table(f"Identified coefficients{f' at {label}' if label else ''}{stated}", ["coefficient", *heads], rows)
+
+
+def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
+    """Identified against the reference, in percent, and in standard deviations where they are stated."""
+    reference, shown = content.reference, fit.at_conditions
+    if not reference:
+        return []
+    rows, rpm = [], shown.rpm
+    for b, names in enumerate(shown.unknowns):
+        at = reference["bearing_node"] == shown.identified.nodes[b]
+        inside = at & (reference["speed_rpm"] >= rpm[0]) & (reference["speed_rpm"] <= rpm[-1])
+        for name in names:
+            if name not in reference or not inside.any():
+                continue
+            c, speeds, given = COEFFICIENTS.index(name), reference["speed_rpm"][inside], reference[name][inside]
+            off = np.interp(speeds, rpm, shown.identified.values[b, :, c]) - given
+            deviation = np.interp(speeds, rpm, shown.deviation[b, :, c])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
+            cells = [write_number(median, digits=3) for median in medians]
+            cells[1] = cells[1] if shown.stated else ""
+            rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
+    header = ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"]
+    name = content.origin.get("reference", "the reference")
+    at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+    return [Table(f"Identified{at} less reference ({name})", header, rows).without_blank()]
+
+
+def _take_median(values: np.ndarray) -> float:
+    """The median of those that are numbers; NaN where none is."""
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> Section:
     """Readings and model of every probe over speed with their residuals."""
     fitted = [r for r in content.shown_runs if not content.held_out(r)]
-    blocks = (Paragraph(_write_quality(content)), _list_probes(content, fit), _draw(content, fit, fitted, "fit"))
+    blocks = (
+        Paragraph(_write_quality(content)),
+        _list_probes(content, fit),
+        _draw_residuals(content, fit, fitted, "fit"),
+    )
     return Section("fit", "Fit and residuals", (*blocks, *_list_parameters(content)))
 
 
@@ -35,7 +167,7 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> Section:
     header = ["held out", "model, error %", "without a model", "its error, %"]
     table = Table("Root mean square of the error over that of the readings", header, rows)
     blocks: list[Block] = [Paragraph(text), *[table] * bool(rows)]
-    blocks += [_draw(content, fit, held, "held-out")] if held else []
+    blocks += [_draw_residuals(content, fit, held, "held-out")] if held else []
     return Section("held-out", "Held-out runs and speeds", tuple(blocks))
 
 
@@ -63,35 +195,30 @@ def _write_quality(content: ReportContent) -> str:
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
     """Root mean square of the residual of each probe, in percent and in deviations."""
-    rows, present = [], content.dataset.present
-    stated = "fit" in content.files.get("training", {})
-    held = np.array([content.held_out(r) for r in range(len(content.dataset.runs))])
+    rows, fitted = [], [r for r in range(len(content.dataset.runs)) if not content.held_out(r)]
+    mask = content.dataset.present[:, fitted]
     for probe in content.shown_probes:
-        measured = content.dataset.displacement[..., ~held].transpose(0, 2, 1) @ probe.weights
-        rest = measured - fit.predicted[..., ~held].transpose(0, 2, 1) @ probe.weights
-        mask = present[:, ~held]
+        measured = probe.read(content.dataset.displacement[..., fitted])
+        rest = measured - probe.read(fit.predicted[..., fitted])
         percent = 100 * np.linalg.norm(rest[mask]) / np.linalg.norm(measured)
-        over = np.sqrt((np.abs(rest / _noise(fit, probe)[:, ~held])[mask] ** 2).mean()) if stated else np.nan
-        rows.append([probe.name, *(write_number(float(number), digits=3) for number in (percent, over))])
-    columns, header = 3 if stated else 2, ["probe", "residual, % of the readings", "residual over its noise"]
-    rows = [row[:columns] for row in rows]
-    return Table("Fitted runs, root mean square over speeds and runs", header[:columns], rows)
+        over = ""
+        if content.weighs_noise:
+            squared = np.abs(rest / probe.read_noise(fit.noise[..., fitted]))[mask] ** 2
+            over = write_number(float(np.sqrt(squared.mean())), digits=3)
+        rows.append([probe.name, write_number(float(percent), digits=3), over])
+    header = ["probe", "residual, % of the readings", "residual over its noise"]
+    return Table("Fitted runs, root mean square over speeds and runs", header, rows).without_blank()
 
 
-def _noise(fit: FitContent, probe: View) -> np.ndarray:
-    """(S, R) m, root mean square of the noise of a probe's vector."""
-    return np.asarray(np.sqrt(fit.noise.transpose(0, 2, 1) ** 2 @ probe.weights**2))
-
-
-def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -> Figure:
-    stated = "fit" in content.files.get("training", {})
-    panels = []
+def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], name: str) -> Figure:
+    stated, panels = content.weighs_noise, []
     for probe in content.shown_probes:
         above, below = [], []
+        every = probe.read(content.dataset.displacement), probe.read(fit.predicted), probe.read_noise(fit.noise)
         for r, points, traced in content.traces(*runs):
-            measured, predicted = vectors_of(content, probe, r), fit.predicted[..., r] @ probe.weights
+            measured, predicted, noise = (vectors[:, r] for vectors in every)
             usual = np.linalg.norm(measured) / np.count_nonzero(measured) ** 0.5 / 100
-            size = np.abs(measured - predicted) / (_noise(fit, probe)[:, r] if stated else usual)
+            size = np.abs(measured - predicted) / (noise if stated else usual)
             look, rpm = dict(traced), content.rpm[points]
             run = look.pop("label")
             above.append(mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40))
@@ -107,10 +234,10 @@ def _draw(content: ReportContent, fit: FitContent, runs: list[int], name: str) -
 
 def _list_parameters(content: ReportContent) -> list[Table]:
     """Model parameters that were fitted with the coefficients, before and after."""
-    table, rows = content.tables.get("model_parameters", {"kind": ()}), []
-    for i, kind in enumerate(table["kind"]):
-        prior, value, deviation = (float(table[key][i]) for key in ("prior_std", "value", "std"))
-        label = f"{str(kind).replace('_', ' ')} {table['of'][i]}".strip()
-        rows.append((label, str(kind), prior, value / prior, deviation / prior))
-    title = "Uncertain numbers of the model, change against what was stated"
-    return [list_parameters(title, rows)] if rows else []
+    fitted = content.tables.get("model_parameters")
+    if fitted is None:
+        return []
+    names = [
+        f"{str(kind).replace('_', ' ')} {of}".strip() for kind, of in zip(fitted["kind"], fitted["of"], strict=True)
+    ]
+    return [list_parameters("Uncertain numbers of the model, change against what was stated", names, fitted)]

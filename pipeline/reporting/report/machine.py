@@ -9,8 +9,7 @@ import numpy as np
 from pipeline.data.dataset import Excitation, synchronous
 from pipeline.reporting.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.section import Paragraph, Section
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Paragraph, Section, Table
 from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6
@@ -36,8 +35,8 @@ def describe_machine(content: ReportContent) -> Section:
 
 def _draw_sketch(content: ReportContent) -> Figure:
     rotor, data = content.measurement.rotor, content.dataset
-    x, beside = rotor.positions, _measure_sizes(content)[1] + 0.14
-    bearings = list(rotor.bearing_nodes)
+    x, bearings, (curves, shaft) = rotor.positions, list(rotor.bearing_nodes), _draw_bodies(content)
+    beside = shaft + 0.14
     probes = sorted({probe.node for probe in content.probes}) if len(content.probes) < 2 * rotor.n_nodes else []
     acting = {kind: sorted({e.node for e in data.excitations if e.kind == kind}) for kind in ("unbalance", "force")}
     marks: tuple[tuple[list[int], float, str, str, str, dict[str, Any]], ...] = (
@@ -49,7 +48,6 @@ def _draw_sketch(content: ReportContent) -> Figure:
         (acting["unbalance"], 1.25, "weights", ORANGE, "s", {}),
         (acting["force"], 1.45, "forces", PURPLE, "s", {}),
     )
-    curves = [*_draw_shaft(content), *_draw_discs(content)]
     for nodes, height, label, colour, marker, look in marks:
         places = np.full(len(nodes), height)
         curves += [Curve(x[nodes], places, label, colour, "none", marker, **look)] if nodes else []
@@ -60,38 +58,22 @@ def _draw_sketch(content: ReportContent) -> Figure:
     return Figure("sketch", caption, [panel])
 
 
-def _draw_shaft(content: ReportContent) -> list[Curve]:
-    """The outline of the shaft; a plain bar where a file holds its diameters."""
-    x, shaft = content.measurement.rotor.positions, content.config.machine.rotor.shaft
-    if not shaft:
-        return [_draw_box(x[0], x[-1], (_SHAFT, _SHAFT), "shaft", GREY)]
-    largest, curves, start = _measure_sizes(content)[0], [], 0.0
-    for segment in shaft:
+def _draw_bodies(content: ReportContent) -> tuple[list[Curve], float]:
+    """Outlines of shaft and discs, and the half height of the shaft; plain bars where a file holds the diameters."""
+    x, given, curves, start = content.measurement.rotor.positions, content.config.machine.rotor, [], 0.0
+    thickest = max((segment.outer_diameter for segment in given.shaft), default=np.nan)
+    largest = max(4 * thickest, *(disc.outer_diameter or 0.0 for disc in given.discs)) if given.shaft else 1.0
+    for segment in given.shaft:
         halves = segment.outer_diameter / largest, (segment.end_diameter or segment.outer_diameter) / largest
         curves.append(_draw_box(start, start + segment.length, halves, "shaft", GREY))
         start += segment.length
-    return curves
-
-
-def _draw_discs(content: ReportContent) -> list[Curve]:
-    rotor, curves = content.measurement.rotor, []
-    stated = {disc.node: (disc.width, disc.outer_diameter) for disc in content.config.machine.rotor.discs}
-    for node in rotor.disc_nodes:
+    curves = curves or [_draw_box(x[0], x[-1], (_SHAFT, _SHAFT), "shaft", GREY)]
+    stated = {disc.node: (disc.width, disc.outer_diameter) for disc in given.discs}
+    for node in content.measurement.rotor.disc_nodes:
         width, diameter = stated.get(node, (None, None))
-        side = (width or 0.02 * rotor.positions[-1]) / 2
-        half = diameter / _measure_sizes(content)[0] if diameter else _DISC
-        place = rotor.positions[node]
-        curves.append(_draw_box(place - side, place + side, (half, half), "disc", BLACK))
-    return curves
-
-
-def _measure_sizes(content: ReportContent) -> tuple[float, float]:
-    """Diameter (m) that is drawn with a half height of 1, and the half height of the shaft."""
-    rotor = content.config.machine.rotor
-    shaft = max((segment.outer_diameter for segment in rotor.shaft), default=_SHAFT / 4)
-    discs = [disc.outer_diameter or 0.0 for disc in rotor.discs]
-    largest = max(4 * shaft, *discs) if rotor.shaft else 1.0
-    return largest, shaft / largest if rotor.shaft else _SHAFT
+        side, half = (width or 0.02 * x[-1]) / 2, diameter / largest if diameter else _DISC
+        curves.append(_draw_box(x[node] - side, x[node] + side, (half, half), "disc", BLACK))
+    return curves, thickest / largest if given.shaft else _SHAFT
 
 
 def _draw_box(start: float, stop: float, halves: tuple[float, float], label: str, colour: str) -> Curve:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.data.operating import split_states
 from pipeline.data.vibration_files import to_rpm
+from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.reporting.figure import BLACK, GREY, RPM, Axes, Curve, Figure, HeatMap, Panel
 from pipeline.reporting.measured_figures import (
     AMPLITUDE,
@@ -16,9 +17,8 @@ from pipeline.reporting.measured_figures import (
     name_point,
     pick_speeds,
 )
-from pipeline.reporting.report.content import ReportContent, View, Waveforms
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Amplitude, Cell, Table
+from pipeline.reporting.report.content import ReportContent, View
+from pipeline.reporting.tables import Amplitude, Block, Cell, Paragraph, Section, Table
 
 
 def describe_measured(content: ReportContent) -> Section:
@@ -33,32 +33,28 @@ def describe_measured(content: ReportContent) -> Section:
     for number, name in zip(left, ("probes", "runs"), strict=True):
         if number:
             text += f" {number} further {name} are not shown."
-    blocks: list[Block] = [Paragraph(text), *_write_notes(content), _list_peaks(content)]
-    blocks += [_draw_bode(content), _draw_polar(content), *_draw_orbits(content), *_draw_waveforms(content)]
-    return Section("measured", "What was measured", tuple(blocks))
-
-
-def _write_notes(content: ReportContent) -> list[Paragraph]:
-    return [
-        Paragraph(note[:1].upper() + note[1:] + ".", warning=True)
-        for note in content.files.get("ingest", {}).get("notes", [])
+    blocks: list[Block] = [Paragraph(text)]
+    for note in content.files.get("ingest", {}).get("notes", []):
+        blocks.append(Paragraph(f"{note[:1].upper()}{note[1:]}.", warning=True))
+    blocks += [
+        _list_peaks(content),
+        _draw_bode(content),
+        _draw_polar(content),
+        *_draw_orbits(content),
+        *_draw_waveforms(content),
     ]
+    return Section("measured", "What was measured", tuple(blocks))
 
 
 def _list_peaks(content: ReportContent) -> Table:
     rows: list[list[Cell]] = []
     for probe in content.shown_probes:
-        size = np.abs(content.dataset.displacement.transpose(0, 2, 1) @ probe.weights)  # (S, R)
+        size = np.abs(probe.read(content.dataset.displacement))
         s, r = np.unravel_index(size.argmax(), size.shape)
         rows.append(
             [probe.name, Amplitude(float(size[s, r])), name_point(content.dataset, int(s)), content.dataset.runs[r]]
         )
     return Table("Largest 1X amplitude of each probe (µm pk-pk)", ["probe", "amplitude", "at", "run"], rows)
-
-
-def vectors_of(content: ReportContent, probe: View, run: int) -> np.ndarray:
-    """(S,) complex, m: what a probe read in a run."""
-    return np.asarray(content.dataset.displacement[..., run] @ probe.weights)
 
 
 def _draw_bode(content: ReportContent) -> Figure:
@@ -69,7 +65,7 @@ def _draw_bode(content: ReportContent) -> Figure:
         look = {"colour": GREY, "dash": "dot", "width": 1.2, "label": f"{content.config.data.baseline} (as found)"}
         displacement = np.concatenate([displacement, baseline[..., None]], axis=2)
         traces = [*((runs, points, look) for _, points in split_states(data.speeds, data.operating)), *traces]
-    seen = {_title(probe): displacement.transpose(0, 2, 1) @ probe.weights for probe in content.shown_probes}
+    seen = {_title(probe): probe.read(displacement) for probe in content.shown_probes}
     return Figure("bode", BODE, draw_bode_panels(data.speeds, seen, traces))
 
 
@@ -82,7 +78,7 @@ def _draw_polar(content: ReportContent) -> Figure:
     for probe in content.shown_probes[:4]:
         curves: list[Curve] = []
         for run, points, look in content.traces():
-            vectors = vectors_of(content, probe, run)[points]
+            vectors = probe.read(content.dataset.displacement)[points, run]
             curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **look))
             if len(curves) == 1:
                 ticks = _space_evenly(vectors)
@@ -125,32 +121,30 @@ def _draw_waveforms(content: ReportContent, least_move: float = 1e-6) -> list[Fi
 
     A shaft whose mean position moves by less than ``least_move`` (m), as AC-coupled signals have it, has no centreline.
     """
-    if not content.waveforms:
+    if not content.spectra:
         return []
-    panels = tuple(_draw_spectrum(waveform) for waveform in content.waveforms)
+    panels = [_draw_spectrum(title, spectra) for title, spectra in content.spectra.items()]
     caption = (
         "Full spectra of the run-ups in orders of the rotor speed: positive orders whirl with the rotation, negative "
         "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
     )
-    shifted = [_draw_centreline(w) for w in content.waveforms if np.ptp(w.centre, axis=0).max() > least_move]
+    moves = {title: s for title, s in content.spectra.items() if np.ptp(s.centre, axis=0).max() > least_move}
+    shifted = [_draw_centreline(title, spectra) for title, spectra in moves.items()]
     text = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
     return [Figure("spectra", caption, panels), *([Figure("centreline", text, shifted)] if shifted else [])]
 
 
-def _draw_spectrum(waveforms: Waveforms) -> Panel:
-    rpm = to_rpm(waveforms.speeds)
-    order = np.argsort(rpm)
-    levels = np.log10(np.maximum(2e6 * waveforms.spectrum[order], 1e-4))
-    heat = HeatMap(waveforms.orders, rpm[order], levels, "log10 amplitude")
-    return Panel(f"{waveforms.run}, node {waveforms.node}", "order", [Axes((), RPM)], heat=heat)
+def _draw_spectrum(title: str, spectra: FullSpectra) -> Panel:
+    order = np.argsort(rpm := to_rpm(spectra.speeds))
+    levels = np.log10(np.maximum(2e6 * spectra.spectrum[order], 1e-4))
+    return Panel(title, "order", [Axes((), RPM)], heat=HeatMap(spectra.orders, rpm[order], levels, "log10 amplitude"))
 
 
-def _draw_centreline(waveforms: Waveforms) -> Panel:
-    order = np.argsort(waveforms.speeds)
-    place = waveforms.centre[order] - waveforms.centre[order[0]]
+def _draw_centreline(title: str, spectra: FullSpectra) -> Panel:
+    order = np.argsort(spectra.speeds)
+    x, y = (spectra.centre[order] - spectra.centre[order[0]]).T
     curves = [
-        Curve(place[:, 0], place[:, 1], "mean position", GREY, "solid", "o"),
-        Curve(place[:1, 0], place[:1, 1], "lowest speed", BLACK, "none", "s"),
+        Curve(x, y, "mean position", GREY, "solid", "o"),
+        Curve(x[:1], y[:1], "lowest speed", BLACK, "none", "s"),
     ]
-    axes = Axes(curves, "y (µm)", quantity="amplitude")
-    return Panel(f"{waveforms.run}, node {waveforms.node}", "x (µm)", [axes], equal=True)
+    return Panel(title, "x (µm)", [Axes(curves, "y (µm)", quantity="amplitude")], equal=True)

@@ -9,8 +9,7 @@ from typing import Any
 from pipeline.files import write_beside
 from pipeline.reporting.figure import Figure
 from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image
-from pipeline.reporting.report.section import Paragraph, Section, typeset
-from pipeline.reporting.tables import Table
+from pipeline.reporting.tables import Paragraph, Section, Table, typeset
 
 _WIDTH = 186.0
 """mm of a page between its margins."""
@@ -22,7 +21,6 @@ def write_pdf(path: Path, title: str, head: Sequence[str], sections: Sequence[Se
 
     import matplotlib
     from fpdf import FPDF
-    from fpdf.enums import XPos, YPos
 
     logging.getLogger("fontTools").setLevel(logging.ERROR)  # it tells of each table of a font
     pdf = FPDF(format="A4")
@@ -33,32 +31,33 @@ def write_pdf(path: Path, title: str, head: Sequence[str], sections: Sequence[Se
         pdf.add_font("DejaVu", style, fonts / name)
     pdf.set_title(title)
     pdf.add_page()
-    below: Any = {"new_x": XPos.LMARGIN, "new_y": YPos.NEXT}
-    pdf.set_font("DejaVu", "B", 15)
-    pdf.multi_cell(0, 8, title, **below)
-    pdf.set_font("DejaVu", "", 9)
+    _write_text(pdf, title, 15, 8, bold=True)
     for line in [*head, "Amplitudes are in µm pk-pk, phases are lags."]:
-        pdf.multi_cell(0, 5, line, **below)
+        _write_text(pdf, line, 9, 5)
     for number, section in enumerate(sections, start=1):
         pdf.ln(3)
         if pdf.will_page_break(30):
             pdf.add_page()
         pdf.set_font("DejaVu", "B", 12)
         pdf.start_section(f"{number}. {section.title}")
-        pdf.multi_cell(0, 7, f"{number}. {section.title}", **below)
+        _write_text(pdf, f"{number}. {section.title}", 12, 7, bold=True)
         for block in section.blocks:
             if isinstance(block, Paragraph):
-                pdf.set_font("DejaVu", "B" if block.warning else "", 9)
-                pdf.multi_cell(0, 4.6, typeset(block.text), align="L", **below)
+                _write_text(pdf, typeset(block.text), 9, 4.6, bold=block.warning, align="L")
                 pdf.ln(1)
             elif isinstance(block, Table):
                 _write_table(pdf, block)
             else:
                 _place_figure(pdf, block)
-                pdf.set_font("DejaVu", "", 8)
-                pdf.multi_cell(0, 4.2, block.caption, align="L", **below)
+                _write_text(pdf, block.caption, 8, 4.2, align="L")
                 pdf.ln(1)
     return write_beside(path, lambda beside: pdf.output(str(beside)))
+
+
+def _write_text(pdf: Any, text: str, size: float, height: float, bold: bool = False, align: str = "J") -> None:
+    """Lines of letters of a ``size`` (points), each of a ``height`` (mm)."""
+    pdf.set_font("DejaVu", "B" if bold else "", size)
+    pdf.multi_cell(0, height, text, align=align, new_x="LMARGIN", new_y="NEXT")
 
 
 def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
@@ -70,22 +69,21 @@ def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
     pdf.ln(1)
     if pdf.will_page_break(18):
         pdf.add_page()
-    pdf.set_font("DejaVu", "B", 9)
-    pdf.multi_cell(0, 4.6, typeset(table.caption), align="L", new_x="LMARGIN", new_y="NEXT")
+    _write_text(pdf, typeset(table.caption), 9, 4.6, bold=True, align="L")
     pdf.set_font("DejaVu", "", 6.5 if len(table.header) >= when_wide else 8)
     texts = [[typeset(cell) for cell in row] for row in (table.header, *table.rows)]
     widths = [max(4.0, min(70.0, 1.0 + max(len(row[c]) for row in texts))) for c in range(len(table.header))]
-    layout: dict[str, Any] = {
-        "borders_layout": TableBordersLayout.HORIZONTAL_LINES,
-        "line_height": 3.9,
-        "text_align": "LEFT",
-    }
     pdf.set_draw_color(170)
-    with pdf.table(col_widths=tuple(widths), width=min(_WIDTH, 2.6 * sum(widths)), align="LEFT", **layout) as drawn:
-        for row in texts:
-            line = drawn.row()
-            for text in row:
-                line.cell(text)
+    with pdf.table(
+        texts,
+        col_widths=tuple(widths),
+        width=min(_WIDTH, 2.6 * sum(widths)),
+        align="LEFT",
+        borders_layout=TableBordersLayout.HORIZONTAL_LINES,
+        line_height=3.9,
+        text_align="LEFT",
+    ):
+        pass
     pdf.ln(1)
 
 

@@ -9,16 +9,13 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
-from pipeline.reporting.physical_numbers import describe_law, list_numbers, tabulate_numbers
-from pipeline.reporting.report.coefficients import describe_coefficients
+from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.content import ReportContent
-from pipeline.reporting.report.fit import describe_fit, describe_held_out
+from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.machine import describe_machine
 from pipeline.reporting.report.measured import describe_measured
-from pipeline.reporting.report.modes import describe_modes
-from pipeline.reporting.report.response import describe_response
-from pipeline.reporting.report.section import Block, Paragraph, Section
-from pipeline.reporting.tables import Cell, Mark, Table
+from pipeline.reporting.report.twin import describe_modes, describe_response
+from pipeline.reporting.tables import Block, Cell, Mark, Paragraph, Section, Table
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
 

@@ -1,0 +1,262 @@
+"""What the data determine before any fit: on the terminal, in files and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.data.operating_points import list_columns
+from pipeline.data.vibration_files import to_rpm
+from pipeline.identification.combinations import WORTH, Combinations
+from pipeline.identification.quality import finite
+from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined, Deviations
+from pipeline.problem.diagnosis import Diagnosis
+from pipeline.problem.identifiability import Identifiability, Solvability
+from pipeline.reporting.console import table
+from pipeline.reporting.figure import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LOOKS,
+    ORANGE,
+    RPM,
+    YELLOW,
+    Axes,
+    Curve,
+    Figure,
+    HeatMap,
+    Panel,
+)
+from pipeline.reporting.fit_tables import choose_unit
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number, write_percent
+
+
+def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, object]:
+    """Return the diagnosis by node; an infinite number is null, since JSON has none."""
+    result: dict[str, object] = {}
+    for report in diagnosis.reports:
+        shared = {
+            "verdict": report.verdict.value,
+            "reason": report.reason,
+            "unknowns": len(report.unknowns),
+            "rank": {"least": int(report.rank.min()), "most": int(report.rank.max())},
+            "orbit_rank": {"least": finite(report.orbit_rank.min()), "most": finite(report.orbit_rank.max())},
+            "condition_number": {
+                "median": finite(np.median(report.condition)),
+                "max": finite(report.condition.max()),
+            },
+            "least_determined": report.free_combination(),
+        }
+        for node in report.nodes:
+            deviations = {name: finite(100 * np.median(v)) for name, v in diagnosis.relative(node).items()}
+            result[str(node)] = shared | {"median_deviation_percent": deviations}
+    return result
+
+
+def tabulate_diagnosis(
+    diagnosis: Diagnosis, judged: Sequence[Determined], operating: Mapping[str, np.ndarray]
+) -> list[dict[Hashable, Any]]:
+    """A row a bearing and operating point; the verdicts are those over all points."""
+    import pandas as pd
+
+    rows: list[dict[Hashable, Any]] = []
+    for report in diagnosis.reports:
+        for node in report.nodes:
+            b = diagnosis.answer.nodes.index(node)
+            columns = {
+                "speed_rpm": to_rpm(report.speeds),
+                **list_columns(operating),
+                "unknowns": np.full(len(report.speeds), len(report.unknowns)),
+                "rank": report.rank,
+                "condition_number": report.condition,
+                "orbit_rank": report.orbit_rank,
+                "orbit_condition_number": report.orbit_condition,
+            }
+            columns |= {f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)}
+            columns |= {
+                f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
+            }
+            verdicts = {
+                f"{coefficient.name}_verdict": coefficient.verdict.value
+                for coefficient in judged
+                if coefficient.node == node
+            }
+            rows += pd.DataFrame({"bearing_node": node, **columns, **verdicts}).to_dict("records")
+    return rows
+
+
+def print_determined(name: str, expected: Deviations, judged: Sequence[Determined], noise: str) -> None:
+    """The verdict on each coefficient, a column a bearing; ``noise`` in words."""
+    nodes = expected.table.nodes
+    cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
+    rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in dict.fromkeys(name for _, name in cells)]
+    header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
+    table(f"{name}: each coefficient at {noise}, {expected.of} (medians)", header, rows)
+
+
+def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
+    """Rank, condition and the worst coefficient of each bearing; ``noise`` in words."""
+    header = ["bearing", "rank", "orbits", "condition (median)", "worst", "worst coefficient", "determined least"]
+    rows = []
+    for report in diagnosis.reports:
+        coefficient, deviation = diagnosis.worst(report)
+        size = write_percent(deviation, "+- ") if np.isfinite(deviation) else "free"
+        rows.append(
+            [
+                report.where,
+                f"{int(np.median(report.rank))} of {len(report.unknowns)}",
+                "" if np.isnan(report.orbit_rank).any() else f"{int(np.median(report.orbit_rank))} of 2",
+                f"{np.median(report.condition):.3g}",
+                f"{report.condition.max():.3g}",
+                f"{coefficient} {size}",
+                report.free_combination(),
+            ]
+        )
+    table(f"{name}: what the data determine at each speed, at {noise} (medians)", header, rows)
+
+
+def describe_combinations(combinations: Combinations) -> str:
+    """Sentences: the best and the least known combination, the run that would tell more, and the tolerances."""
+    ends = (("best", combinations.strongest), ("least", combinations.weakest))
+    text = ", ".join(f"known {which} is {end.words} (+- {_show(100 * end.deviation)} %)" for which, end in ends)
+    if run := combinations.next_run:
+        rpm, deviation = write_number(run.speed / RAD_S_PER_RPM), _show(100 * run.deviation)
+        text += f"; '{run.run}' at {rpm} rpm besides would tell that to +- {deviation} %"
+    told, untold = [], []
+    for kind, (least, most) in combinations.parameters.items():
+        span = _show(least) if most - least < 0.05 else f"{_show(least)} to {_show(most)}"
+        told += [f"{kind} {span}"] * (least < WORTH)
+        untold += [kind] * (least >= WORTH)
+    if told:
+        text += f". The data narrow the tolerances (what is left, as a share): {', '.join(told)}"
+    if untold:
+        text += f". They tell next to nothing of {', '.join(untold)}"
+    return text + "."
+
+
+_show = partial(write_number, digits=2)
+
+
+def summarize_combinations(combinations: Combinations) -> dict[str, Any]:
+    """The same for JSON, deviations in percent."""
+    run, ends = combinations.next_run, {"strongest": combinations.strongest, "weakest": combinations.weakest}
+    more = run and {
+        "run": run.run,
+        "speed_rpm": run.speed / RAD_S_PER_RPM,
+        "deviation_percent": 100 * run.deviation,
+    }
+    return {
+        "sentence": describe_combinations(combinations),
+        **{
+            name: {"deviation_percent": 100 * combination.deviation, "shares": dict(combination.shares)}
+            for name, combination in ends.items()
+        },
+        "posterior_over_prior": {kind: list(span) for kind, span in combinations.parameters.items()},
+        "next_run": more,
+    }
+
+
+def draw_diagnosis(
+    path: Path,
+    reports: Sequence[Identifiability],
+    relative: Callable[[int], Mapping[str, np.ndarray]],
+    noise: str,
+    largest_condition: float = 1e16,
+    largest_deviation: float = 1e5,
+) -> Path:
+    """Deviation of each coefficient over speed that the ``noise`` implies; below it the condition number.
+
+    ``relative`` gives, for the node of a bearing, the standard deviation (S,) over the coefficient by its name. Shades
+    are the limits of well, weakly and not determined. A speed with several operating conditions has their median. An
+    infinite condition number is drawn as the largest; deviations (%) beyond the largest are off the figure.
+    """
+    drawn, several = [], ""
+    for report in reports:
+        speeds, groups = np.unique(report.speeds, return_inverse=True)
+        several = "\nmedian over the operating conditions" if len(speeds) < len(groups) else ""
+        rpm, above = to_rpm(speeds), []
+        for name, values in relative(report.nodes[0]).items():
+            colour, dash = LOOKS[COEFFICIENTS.index(name) % 4][0], "solid" if name[0] == "k" else "dash"
+            medians = _take_medians(np.where(np.isfinite(values), 100 * values, np.nan), groups)
+            above.append(Curve(rpm, medians, name, colour, dash))
+        drawn.append((report, rpm, [curve for curve in above if curve.shown], groups))
+    deviations = np.concatenate([np.ones(1), *(curve.y for _, _, curves, _ in drawn for curve in curves)])
+    deviations = deviations[np.isfinite(deviations)]
+    reach = (min(0.8 * deviations.min(), 1.0), min(max(1.25 * deviations.max(), 100.0), largest_deviation))
+    said, panels = f"standard deviation at\n{noise}\n(% of the coefficient){several}", []
+    for report, rpm, curves, groups in drawn:
+        shades = _shade_verdicts(rpm[[0, -1]], reach)
+        if not curves:
+            at, middle = np.array([rpm.mean()]), np.array([np.sqrt(reach[0] * reach[1])])
+            shades.append(Curve(at, middle, "", GREY, "none", texts=["free: no finite deviation"]))
+        below = [
+            Curve(rpm, _take_medians(np.minimum(condition, largest_condition), groups), f"condition {text}", *look)
+            for condition, text, *look in (
+                (report.condition, "of the equations for the coefficients", BLUE),
+                (report.orbit_condition, "of the orbits", GREY, "dash"),
+            )
+        ]
+        known = " without noise" if report.verdict is not Solvability.NOT_IDENTIFIABLE else ""
+        axes = [
+            Axes([*shades, *curves], said, scale="log", y_range=reach),
+            Axes(below, "condition number (-)", scale="log"),
+        ]
+        panels.append(Panel(f"{report.where}:\n{report.verdict.value}{known}", RPM, axes))
+    return write_figure(path, Figure("diagnosis", "", panels, columns=len(reports)))
+
+
+def _take_medians(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """(U,) medians of the ``values`` (S,) at each different speed; ``groups`` (S,) says which it is."""
+    order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
+    return np.array([np.median(group) for group in np.split(values[order], np.cumsum(counts)[:-1])])
+
+
+def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
+    """Shades behind the deviations (%): well determined, weakly, and not; what no reading tells is cut off above."""
+    edges, curves = (reach[0], 100 * WELL_BELOW, 100 * WEAKLY_BELOW, reach[1]), []
+    shades = (("well determined", GREEN), ("weakly", YELLOW), ("not determined", ORANGE))
+    for (verdict, colour), start, stop in zip(shades, edges, edges[1:], strict=False):
+        middle, half = np.full(2, (start + stop) / 2), np.full(2, (stop - start) / 2)
+        curves.append(Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4))
+        curves.append(Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]))
+    return curves
+
+
+def name_tolerance(kind: str, tolerance: float) -> str:
+    """A kind of model parameter with its ``tolerance`` (in its unit), such as ``length (0.1 %)``."""
+    unit, factor = choose_unit(kind)
+    return f"{kind} ({write_number(factor * tolerance, digits=3)} {unit})"
+
+
+def print_budget(name: str, coefficients: Sequence[str], percent: Mapping[str, np.ndarray]) -> None:
+    """What each tolerance (by its name) does to each coefficient, such as "kxx node 1": down, tolerances across."""
+    rows = [
+        [coefficient, *(write_number(float(values[a]), digits=2) for values in percent.values())]
+        for a, coefficient in enumerate(coefficients)
+    ]
+    title = f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)"
+    table(title, ["coefficient", *percent], rows)
+
+
+def draw_budget(path: Path, coefficients: Sequence[str], percent: Mapping[str, np.ndarray]) -> Path:
+    """The same as a map: darker for more percent, with the numbers."""
+    values = np.array(list(percent.values()))
+    shade = np.log10(np.clip(values, 0.1, 100.0))
+    down, across = np.meshgrid(*map(np.arange, values.shape), indexing="ij")
+    numbers = []
+    for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
+        texts = [write_number(float(value), digits=2) for value in values[chosen]]
+        numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
+    heat = HeatMap(np.arange(values.shape[1]), np.arange(values.shape[0]), shade, "", "Blues", (-1.0, 2.0))
+    title = "change of the coefficient by the tolerance in brackets (%, median over speed)"
+    axes = Axes(numbers, "", y_names=list(percent))
+    panel = Panel(title, "", [axes], heat=heat, x_names=coefficients, wide=True)
+    return write_figure(path, Figure("budget", "", [panel], columns=1))
