@@ -11,6 +11,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, _Bearing
 from pipeline.rotor.ross_adapter import assemble, make_rotor, ross
 from pipeline.rotor.ross_export import make_bearings
+from pipeline.rotor.weight import GRAVITY
 
 
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
@@ -19,7 +20,7 @@ def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) 
     if bearing.saved:
         return rotor
     nodes, elements = assemble(config).bearing_nodes, []
-    share = float(rotor.m * 9.80665 / len(nodes))
+    share = float(rotor.m * GRAVITY / len(nodes))
     for node in nodes:
         single = bearing.at(node)
         if type(single).make_element is _Bearing.make_element:

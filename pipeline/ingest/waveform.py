@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -77,11 +77,7 @@ class SignalConfig(MeasuredConfig):
     records: Literal["constant_speed", "run_up"] | None = None
     tracking: OrderTrackingConfig = OrderTrackingConfig()
 
-    if TYPE_CHECKING:
-
-        @property
-        def tacho(self) -> TachoSignalConfig:
-            """Its angle, and its pulses."""
+    tacho: TachoSignalConfig = TachoSignalConfig()
 
     def check_signals(self) -> Iterator[str]:
         """What is wrong with what time signals need."""
@@ -246,10 +242,7 @@ def _fit_records(
                 f"{record.where} has tacho edges that are sharper than the sampling, at a whole number of "
                 f"samples a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
             )
-    tracks = {
-        probe: _make_track(config, probe, np.array(speeds), np.array(vectors)[:, p], f"run '{name}'")
-        for p, probe in enumerate(config.probes)
-    }
+    tracks = _make_tracks(config, np.array(speeds), np.array(vectors), f"run '{name}'")
     return RunTracks(name, source, tracks, tracks, tuple(notes))
 
 
@@ -257,7 +250,7 @@ def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, sl
     """Fit vectors at the wanted speeds, and at so many low ones for the slow roll."""
     assert config.speeds  # the schema has seen to it
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
-    tracks = _track(config, record, wanted)
+    tracks = _make_tracks(config, wanted, fit_sweep(record, wanted, config.tracking), record.where)
     slow: dict[str, Track] = {}
     if config.slow_roll and config.slow_roll.below_rpm:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
@@ -268,17 +261,10 @@ def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, sl
                 f"{config.slow_roll.below_rpm:g}, but windows fit from {format_rpm(lowest)} rpm on: give a larger one, "
                 "or slow_roll.vectors"
             )
-        slow = _track(config, record, np.linspace(lowest, limit, slow_windows, endpoint=False))
+        below = np.linspace(lowest, limit, slow_windows, endpoint=False)
+        slow = _make_tracks(config, below, fit_sweep(record, below, config.tracking), record.where)
     times = find_passages(record.between_pulses(), np.sort(wanted), config.tracking)
     return RunTracks(name, source, tracks, slow, record.notes, times)
-
-
-def _track(config: SignalConfig, record: Signals, speeds: np.ndarray) -> dict[str, Track]:
-    vectors = fit_sweep(record, speeds, config.tracking)
-    return {
-        probe: _make_track(config, probe, speeds, vectors[:, p], f"{record.where}, probe '{probe}',")
-        for p, probe in enumerate(config.probes)
-    }
 
 
 def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> Signals:
@@ -303,6 +289,10 @@ def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> Signals:
     return Signals(loaded.time, values, angle, where, late, loaded.notes + tuple(note_clipping(where, loaded.signals)))
 
 
-def _make_track(config: SignalConfig, probe: str, speeds: np.ndarray, vectors: np.ndarray, where: str) -> Track:
-    order, _ = to_motion(config.signal_unit or "", config.probes[probe].scale)
-    return sort_track(speeds, to_displacement(vectors, order, speeds), where)
+def _make_tracks(config: SignalConfig, speeds: np.ndarray, vectors: np.ndarray, where: str) -> dict[str, Track]:
+    """By probe, of ``vectors`` (S, P) in m, m/s or m/s^2 at ``speeds`` (S,) rad/s."""
+    orders = [to_motion(config.signal_unit or "", probe.scale)[0] for probe in config.probes.values()]
+    return {
+        name: sort_track(speeds, to_displacement(vectors[:, p], orders[p], speeds), f"{where}, probe '{name}',")
+        for p, name in enumerate(config.probes)
+    }

@@ -24,6 +24,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.supports import Stand, find_seals, find_stands
+from pipeline.rotor.weight import GRAVITY
 
 _LATERAL = (0, 1, 3, 4)
 """x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
@@ -101,15 +102,9 @@ def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> l
 
 
 def bearing_table(
-    config: RotorConfig,
-    bearing: BearingConfig,
-    speeds: np.ndarray,
-    operating: Operating | None = None,
-    gravity: float = 9.80665,
+    config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray, operating: Operating | None = None
 ) -> BearingTable:
     """The modelled coefficients at ``speeds`` (S,) rad/s and ``operating`` conditions (S,).
-
-    ``gravity`` in m/s^2 (ISO 80000-3) gives each bearing its share of the rotor's weight.
 
     Raises ConfigError where a bearing needs a condition that is not there, or gives no finite coefficients.
     """
@@ -121,7 +116,7 @@ def bearing_table(
         values = np.array([[flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
     else:
         nodes = _find_bearings(config, rotor)
-        share = float(rotor.m * gravity / len(nodes))
+        share = float(rotor.m * GRAVITY / len(nodes))
         values = np.stack([bearing.at(node).tabulate(speeds, operating, share, ross()) for node in nodes])
     if not np.isfinite(values).all():
         raise ConfigError(
