@@ -107,6 +107,7 @@ def fit_from(
     settled: float = 1e-3,
     choice: int = 1,
     no_worse: float = 2.0,
+    least_noise: float = 0.1,
 ) -> OutputErrorFit:
     """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision.
 
@@ -114,6 +115,8 @@ def fit_from(
         rounds: at most so many, until no precision changes by more than ``settled``.
         choice: the round after which superfluous features are dropped: the precisions are nearly right by then.
         no_worse: so many times the loss before, dropping them may raise it to.
+        least_noise: of the stated one, where noise is estimated and nodes over the speed carry the coefficients, which
+            follow no curve exactly: data without noise would be fitted by tolerances instead.
     """
     problem, weights = start.problem, start.weights
     if start.from_guess:
@@ -136,7 +139,7 @@ def fit_from(
             shares = _count_fully(problem)
             break
         if turn >= 0 and setup.loss.noise == "estimated":
-            factor = estimate_noise(problem, weights)
+            factor = np.maximum(estimate_noise(problem, weights), least_noise if start.searched else 0.0)
         problem = problem.update(weights)
         if turn < 0:
             continue

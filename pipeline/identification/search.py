@@ -188,8 +188,10 @@ class Searched:
         return np.asarray(torch.einsum("g,gzy->zy", shares, more).numpy())
 
 
-def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5) -> Searched:
-    """The minima of the likely choices, at the noise that the best of them leaves."""
+def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5, most_exact: float = 10.0) -> Searched:
+    """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
+    stated one at least.
+    """
     import torch
 
     rough, parameters = _simplify(problem)
@@ -200,7 +202,7 @@ def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5)
         evidence = whitened.evidence(y)
         order = evidence.argsort(descending=True, stable=True)[:kept].tolist()
         whitened, y = replace(whitened, choices=whitened.choices.select(order)), y[order]
-        share *= _noise(whitened, y)
+        share = min(share * _noise(whitened, y), most_exact)
         whitened = replace(whitened, problem=problem.scaled(share))
         y = whitened.minimise(y, 1e-4, steps=20)
     evidence = whitened.evidence(y)

@@ -297,12 +297,15 @@ def test_a_new_kind_keeps_nothing_of_the_former() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list_options("machine"))
 def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -> None:
-    """Rolling bearings are constants, the others functions of the speed; recordings have noise of a size to find."""
+    """Rolling bearings are constants, the others functions of the speed, of recordings with a population as prior;
+    recordings have noise of a size to find.
+    """
     config = compose_config([f"machine={name}"])
     assert config.name == name
     assert config.loss.noise == ("stated" if config.machine.recordings.format == "none" else "estimated")
     rolling = config.machine.bearings.kind in ("ball", "linear")
-    assert config.model.kind == ("constant" if rolling else "network")
+    recorded = config.machine.recordings.format != "none"
+    assert config.model.kind == ("constant" if rolling else "bearings" if recorded else "network")
     assert config.identify.unknowns == UNKNOWNS["rolling" if rolling else "fluid_film"]
     assert Config.model_validate(config.model_dump()).model_copy(update={"chosen_by": config.chosen_by}) == config
 

@@ -151,3 +151,14 @@ def test_the_readings_without_noise_are_explained(study: Any, measurement: tuple
     weights = torch.as_tensor(at_nodes[..., order].swapaxes(1, 2).reshape(1, 1, -1).copy())
     problem = output_error(replace(measured, parameters=()), basis, 1.0)
     assert float(problem.loss(weights)) < 0.5
+
+
+def test_simulated_readings_without_noise_are_no_trap(measurement: tuple[Any, Any]) -> None:
+    """A first trial: no tolerance is asked to explain what 14 nodes can't follow, and bands hold."""
+    measured, felt = measurement
+    setup = setup_of(compose_config(["experiment=default/fluid_film_measured", "tracking=none"]))
+    identified = conclude(fit_sensors(measured, setup))
+    values, deviation = identified.table(felt).values, identified.deviation(felt.speeds)
+    assert np.mean(np.abs(values - felt.values) < 1.96 * deviation) > 0.95
+    assert np.median(np.abs(values / felt.values - 1)) < 0.02
+    assert max(abs(number.value) for number in identified.parameters) < 1.0
