@@ -37,7 +37,11 @@ Defaults are those of the experiment `hydrostatic_stiffness`, which is the defau
 experiments, and `conf/experiment/default` for a machine file of your own, have others. A dash marks
 a key that has none and must be given where its section is.
 """
-_ALTERNATIVES = {"ConstantModelConfig": "model=constant", "FunctionsModelConfig": "model=b_spline"}
+_ALTERNATIVES = {
+    "ConstantModelConfig": "model=constant",
+    "FunctionsModelConfig": "model=b_spline",
+    "BearingsModelConfig": "model=bearings",
+}
 _SUFFIXES = {"_rpm": "rpm", "_deg": "deg", "_seconds": "s", "_hz": "Hz"}
 _NAMES: dict[Any, str] = {bool: "true, false", int: "whole number", float: "number", str: "text"}
 

@@ -172,8 +172,12 @@ def _report(analysis: Analysis, fitted: Fit) -> None:
         f"{fitted.steps} steps in {fitted.seconds:.1f} s\n"
         f"coefficients in '{analysis.files.identified}'"
     )
-    if fitted.parameters:
-        print_parameters(config.name, fitted.parameters)
+    stated = config.identify.model_parameters.deviations
+    told = [number for number in fitted.parameters if number.parameter.kind in stated or abs(number.value) > 1]
+    if told:
+        print_parameters(config.name, told)
+    if untold := len(fitted.parameters) - len(told):
+        say(f"{config.name}: {untold} usual tolerances were fitted and moved less than that, in 'model_parameters.csv'")
     summary = fitted.quality.summary
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
     for text in describe_law(summary, config.model.kind):
