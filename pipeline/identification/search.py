@@ -188,7 +188,7 @@ class Searched:
         return np.asarray(torch.einsum("g,gzy->zy", shares, more).numpy())
 
 
-def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5, most_exact: float = 10.0) -> Searched:
+def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 6, most_exact: float = 10.0) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
     stated one at least.
     """
@@ -199,15 +199,11 @@ def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 5,
     whitened, share = Whitened(problem, started.choices), 1.0
     y = _lift(y, parameters, whitened)
     for _ in range(2):
-        evidence = whitened.evidence(y)
-        order = evidence.argsort(descending=True, stable=True)[:kept].tolist()
-        whitened, y = replace(whitened, choices=whitened.choices.select(order)), y[order]
+        whitened, y, _ = _rank(whitened, y, kept)
         share = min(share * _noise(whitened, y), most_exact)
         whitened = replace(whitened, problem=problem.scaled(share))
         y = whitened.minimise(y, 1e-4, steps=20)
-    evidence = whitened.evidence(y)
-    order = evidence.argsort(descending=True, stable=True).tolist()
-    whitened, y, evidence = replace(whitened, choices=whitened.choices.select(order)), y[order], evidence[order]
+    whitened, y, evidence = _rank(whitened, y, kept)
     shares = (evidence - evidence[0]).exp()
     rest = torch.eye(problem.places.n_rest, dtype=y.dtype)
     roots = torch.stack([torch.block_diag(root, rest) for root in whitened.choices.root])
@@ -249,8 +245,8 @@ def _noise(whitened: Whitened, y: torch.Tensor) -> float:
 def _descend(
     whitened: Whitened,
     seed: int,
-    draws: int = 1,
-    stages: Sequence[tuple[float, int, int]] = ((0.003, 8, 20), (0.05, 12, 12), (1.0, 20, 12)),
+    draws: int = 2,
+    stages: Sequence[tuple[float, int, int]] = ((0.003, 8, 24), (0.05, 12, 16), (1.0, 20, 16)),
 ) -> tuple[Whitened, torch.Tensor]:
     """Minima of the likeliest choices, from each prior's mean and so many ``draws``.
 
@@ -265,13 +261,19 @@ def _descend(
     y[..., starts.size - starts.problem.places.n_rest :] = 0.0
     for share, steps, most in stages:
         tempered = replace(starts, problem=whitened.problem.scaled(share**0.5))
-        y = tempered.minimise(y, 1e-2, steps)
-        order = tempered.evidence(y).argsort(descending=True, stable=True)[:most].tolist()
-        starts, y = replace(starts, choices=starts.choices.select(order)), y[order]
-    chosen = _best_of_each(starts.choices)
-    return replace(starts, choices=starts.choices.select(chosen)), y[chosen]
+        tempered, y, _ = _rank(tempered, tempered.minimise(y, 1e-2, steps), most)
+        starts = replace(starts, choices=tempered.choices)
+    return starts, y
 
 
-def _best_of_each(choices: Choices) -> list[int]:
-    """The first place of each choice."""
-    return [i for i, families in enumerate(choices.families) if families not in choices.families[:i]]
+def _rank(
+    whitened: Whitened, y: torch.Tensor, most: int, equal: float = 0.3
+) -> tuple[Whitened, torch.Tensor, torch.Tensor]:
+    """The likeliest minima, the best first, and their evidence; of a choice those of ``equal`` evidence are one."""
+    evidence, families = whitened.evidence(y), whitened.choices.families
+    order: list[int] = []
+    for i in evidence.argsort(descending=True, stable=True).tolist():
+        if all(families[i] != families[j] or abs(float(evidence[i] - evidence[j])) > equal for j in order):
+            order.append(i)
+    order = order[:most]
+    return replace(whitened, choices=whitened.choices.select(order)), y[order], evidence[order]
