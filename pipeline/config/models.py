@@ -12,7 +12,7 @@ from pipeline.config.section import Section, rule
 
 
 class _CoefficientModelConfig(Section):
-    parametrisation: Literal["log", "scaled", "impedance"]
+    parametrisation: Literal["log", "scaled"]
     initialisation: Literal["guess", "per_speed"]
     initial_stiffness: Stiffness
     initial_damping: Damping
@@ -30,11 +30,6 @@ class _CoefficientModelConfig(Section):
     def families(self) -> tuple[str, ...]:
         """Kinds of bearings whose population is the prior; none for a model without one."""
         return ()
-
-    @rule
-    def _coordinates(self) -> Iterator[str]:
-        if (self.parametrisation == "impedance") != bool(self.families):
-            yield f"must have parametrisation: impedance for kind: bearings alone, but got {self.parametrisation}"
 
     @property
     def shape(self) -> dict[str, Any]:
@@ -162,7 +157,8 @@ class BearingsModelConfig(_CoefficientModelConfig):
     @property
     def shape(self) -> dict[str, Any]:
         """The nodes."""
-        return {"hidden": (), "functions": "nodes", "n_functions": self.count, "input_scaling": "log_rpm"}
+        nodes = {"hidden": (), "functions": "nodes", "n_functions": self.count, "input_scaling": "log_rpm"}
+        return nodes | {"parametrisation": "impedance"}  # whatever an experiment has for other models
 
 
 BearingFamily = Literal["plain", "lobed", "tilting_pad", "rolling", "unknown"]
