@@ -20,7 +20,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1674,
+    "config": 1675,
     "laws": 487,
     "rotor": 693,
     "data": 929,
@@ -38,13 +38,13 @@ STATEMENTS = {
     "tuning": 559,
     "reporting": 2706,
     "tracking": 376,
-    "stages": 1194,
+    "stages": 1198,
     "beside the rooms": 479,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18043, 14500),
+    "statements of pipeline/": (18048, 14500),
     "files": (292, 250),
     "classes": (337, 260),
     "is None, is not None": (354, 420),

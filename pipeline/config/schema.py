@@ -142,6 +142,11 @@ class Config(Section):
             )
 
     @rule
+    def _has_a_prior_of_functions(self) -> Iterator[str]:
+        if self.loss.kind != "response" and self.model.families:
+            yield f"model=bearings must come with loss=response, which has its prior, but got loss={self.loss.kind}"
+
+    @rule
     def _trains_by_a_residual(self) -> Iterator[str]:
         other = self.stage == "robustness" and self.robustness.over != "refit"
         if self.loss.kind == "response" and other:

@@ -20,7 +20,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -167,8 +167,10 @@ def main(arguments: list[str]) -> None:
     cases = given["cases"].split(",") if "cases" in given else list(CASES)
     folder = Path(given["output"]).resolve()
     tasks = [(case, seed) for case in cases for seed in seeds]
-    with ThreadPoolExecutor(int(given.get("workers", "2"))) as pool:
-        judged = pool.map(lambda task: run_case(folder / f"{task[0]}-{task[1]}", task[1], task[0]), tasks)
+    # Processes: configurations are composed one at a time in each.
+    with ProcessPoolExecutor(int(given.get("workers", "2"))) as pool:
+        folders = [folder / f"{case}-{seed}" for case, seed in tasks]
+        judged = pool.map(run_case, folders, [seed for _, seed in tasks], [case for case, _ in tasks])
         results: dict[str, list[dict[str, Any]]] = {}
         for (case, seed), machine in zip(tasks, judged, strict=True):
             results.setdefault(case, []).append(machine)

@@ -122,6 +122,8 @@ def test_every_option_of_every_group(group: str, option: str, experiment: str, r
         return
     if option in ("law", "hybrid"):
         experiment = "oil_temperatures"  # the one whose machine has bearing laws
+    if option == "bearings":
+        experiment = "noisy_all"  # whole impedances, by the output error
     if group == "optimizer":
         chosen += [f"optimizer.{phase}.steps=3" for phase in ("adam", "lbfgs") if phase in option]
     _runs_or_says_why_not(run, experiment, tmp_path / "x", *chosen)
