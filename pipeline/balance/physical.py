@@ -97,7 +97,7 @@ class Physical(LinearVibration):
         measurement = replace(self.measurement, dataset=dataset, drift=NO_LEVELS)
         made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
         plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
-        return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features)
+        return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features, origin=made.origin)
 
 
 def restore_physical(

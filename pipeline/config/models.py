@@ -32,6 +32,11 @@ class _CoefficientModelConfig(Section):
         return ()
 
     @property
+    def network(self) -> dict[str, Any]:
+        """The hidden layers of a network that is trained from an answer at nodes; nothing for a model without one."""
+        return {}
+
+    @property
     def shape(self) -> dict[str, Any]:
         """The fields of a :class:`pipeline.identification.model.CoefficientModel` that the kind decides."""
         return {"hidden": ()}
@@ -161,10 +166,27 @@ class BearingsModelConfig(_CoefficientModelConfig):
         return nodes | {"parametrisation": "impedance"}  # whatever an experiment has for other models
 
 
+class BearingsNetworkModelConfig(BearingsModelConfig):
+    """A network of the speed for each bearing, all layers of which are trained from the answer at the nodes, with the
+    same prior: the coefficients follow what a spline between few nodes can't.
+    """
+
+    kind: Literal["bearings_network"]  # type: ignore[assignment]
+    width: Annotated[int, Field(ge=1, le=512)]
+    depth: Annotated[int, Field(ge=1, le=8)]
+    activation: Literal["tanh", "silu", "sine"]
+
+    @property
+    def network(self) -> dict[str, Any]:
+        """The layers."""
+        return {"hidden": (self.width,) * self.depth, "activation": self.activation}
+
+
 BearingFamily = Literal["plain", "lobed", "tilting_pad", "rolling", "unknown"]
 
 ModelConfig = Annotated[
     BearingsModelConfig
+    | BearingsNetworkModelConfig
     | ConstantModelConfig
     | NetworkModelConfig
     | FunctionsModelConfig

@@ -62,17 +62,19 @@ def restore(
     import torch
 
     to_features = torch.as_tensor(uncertainty.weights)  # (M, F, K)
-    basis = Basis(identified.model, identified.parameters, to_features, 0)
-    made = output_error(measurement.with_laws(identified.laws), basis, uncertainty.plane_scale)
     places, (member, unknown) = uncertainty.places, uncertainty.active.T.tolist()
     count = to_features.shape[-1]
     told = np.diag(uncertainty.covariance)[places.coefficients].reshape(len(member), -1)[:, :count] > 0
     kept, precision = torch.as_tensor(told), torch.as_tensor(uncertainty.precision)
     functions = Prior(*map(torch.as_tensor, uncertainty.functions))
-    problem = replace(made, kept=kept, precision=precision, functions=functions)
     output = identified.parameters[:, -to_features.shape[1] * len(identified.unknowns.names) :]
     output = output.unflatten(-1, (to_features.shape[1], -1))  # (M, F, U)
-    coordinates = (torch.linalg.pinv(to_features) @ output)[member, :, unknown] * kept
+    every = torch.linalg.pinv(to_features) @ output  # (M, K, U)
+    basis = Basis(identified.model, identified.parameters, to_features, 0)
+    basis = replace(basis, parameters=basis.parameters_of(-every.mT[None])[0])
+    made = output_error(measurement.with_laws(identified.laws), basis, uncertainty.plane_scale)
+    problem = replace(made, kept=kept, precision=precision, functions=functions)
+    coordinates = every[member, :, unknown] * kept
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
     weights[0, 0, problem.places.coefficients] = coordinates.flatten()
     weights[0, 0, problem.places.numbers] = identified.theta

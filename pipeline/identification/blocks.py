@@ -80,6 +80,10 @@ class Prior:
     rows: torch.Tensor  # (N, Z)
     aims: torch.Tensor  # (N,) or (G, N)
 
+    def __len__(self) -> int:
+        """N."""
+        return len(self.rows)
+
     def deviations(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, N) of the weights (G, Z)."""
         return weights @ self.rows.T - self.aims
@@ -105,10 +109,12 @@ def no_prior() -> Prior:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Output weights ``W = weights z`` for which the features at the training speeds are orthonormal."""
+    """Output weights ``W = weights z``, added to those of the parameters. Of features, they are orthonormal at the
+    training speeds.
+    """
 
     model: CoefficientModel
-    parameters: torch.Tensor  # (M, Q) of the model, whose hidden layers are kept
+    parameters: torch.Tensor  # (M, Q) of the model where z is zero; hidden layers are kept
     weights: torch.Tensor  # (M, F, K)
     n_trend: int  # the first so many are the constant and the trend
 
@@ -120,6 +126,10 @@ class Basis:
     def at(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
         """(M, S, K) the basis at ``points``: name -> (S,), the speed in rad/s."""
         return self.model.features(self.parameters, self.model.scaled_inputs(points)) @ self.weights
+
+    def origin(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """(M, S, U) the model's outputs at ``points`` where z is zero."""
+        return self.model.raw(self.parameters, self.model.scaled_inputs(points))
 
     def prior_precision(self, n_speeds: int, beyond_trend: float, beyond_constant: float = 1.0) -> torch.Tensor:
         """(K,) of the weights: a coefficient deviates from its trend by ``beyond_trend``, as normal with mean zero.
@@ -140,8 +150,8 @@ class Basis:
         import torch
 
         output = (self.weights @ coordinates.mT).flatten(-2)  # (G, M, F U)
-        hidden = self.parameters[:, : self.parameters.shape[1] - output.shape[-1]]
-        return torch.cat([hidden.expand(len(output), *hidden.shape), output], dim=-1)
+        count = self.parameters.shape[1] - output.shape[-1]
+        return self.parameters + torch.nn.functional.pad(output, (count, 0))
 
 
 def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points: Mapping[str, np.ndarray]) -> Basis:
@@ -165,7 +175,7 @@ def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points:
         ],
         dim=1,
     )
-    return Basis(model, parameters, weights, first.shape[-1])
+    return Basis(model, model.without_output(parameters), weights, first.shape[-1])
 
 
 def _orthonormal(columns: torch.Tensor, negligible: float = 1e-6) -> tuple[torch.Tensor, torch.Tensor]:

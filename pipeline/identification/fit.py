@@ -231,11 +231,14 @@ def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | 
     """The fit of :class:`OutputErrorLoss`, with the problem that it solved. Raises as its ``fit``."""
     from pipeline.identification.output_error_fit import fit_output_error
     from pipeline.identification.trained_fit import train_hidden
+    from pipeline.identification.trained_from_nodes import train_from_nodes
 
     output_error = fit_output_error(measurement, setup, progress)
-    if setup.loss.hidden == "trained" and output_error.minimum.outcomes[0] is not Outcome.INTERRUPTED:
-        return train_hidden(output_error, setup, progress)
-    return output_error
+    if output_error.minimum.outcomes[0] is Outcome.INTERRUPTED:
+        return output_error
+    if setup.model.network:
+        return train_from_nodes(output_error, setup, progress)
+    return train_hidden(output_error, setup, progress) if setup.loss.hidden == "trained" else output_error
 
 
 _LABELS = {

@@ -1,7 +1,7 @@
 """Unknown coefficients as functions of named inputs (speed, operating conditions), with a flat parameter vector.
 
-A network, a constant, or a linear combination of fixed functions of the speed (B-splines, Chebyshev polynomials), which
-is a network whose only layer is fed by these functions in place of the speed.
+A network, a constant, or a linear combination of fixed functions of the speed (B-splines, Chebyshev polynomials, values
+at nodes), which is a network without hidden layers: its output layer is fed by these functions.
 
 A flat vector lets any number of copies - bearings, initial guesses, seeds - be evaluated and trained at once
 as leading dimensions of one tensor. Legend: ``...`` batch, Q parameters, S speeds, U unknowns, F functions.
@@ -41,7 +41,7 @@ class CoefficientModel:
     ranges: tuple[tuple[float, float], ...] = ((0.0, 1.0),)  # of each input (SI, the speed in rad/s), mapped to [-1, 1]
     trend: bool = False  # the output layer also sees the inputs and the logarithm of the speed
     fades: bool = False  # the output goes to zero beyond the data: it corrects a law
-    functions: Literal["b_spline", "chebyshev", "nodes"] | None = None  # what the only layer is fed by
+    functions: Literal["b_spline", "chebyshev", "nodes"] | None = None  # that the output layer is fed by, too
     n_functions: int = 0  # F
 
     @property
@@ -54,9 +54,10 @@ class CoefficientModel:
         """(inputs, outputs) of every layer; empty for constants."""
         if self.hidden is None:
             return []
-        widths = [self.n_functions if self.functions else len(self.inputs), *self.hidden, len(self.unknowns)]
-        layers = list(itertools.pairwise(widths))
-        return [*layers[:-1], (layers[-1][0] + self.n_trend, layers[-1][1])]
+        before = self.hidden[-1:] or (() if self.functions else (len(self.inputs),))
+        widths = [len(self.inputs), *self.hidden]
+        n_in = sum(before) + self.n_functions + self.n_trend
+        return [*itertools.pairwise(widths), (n_in, len(self.unknowns))]
 
     @property
     def n_trend(self) -> int:
@@ -92,22 +93,21 @@ class CoefficientModel:
         """
         return scale_inputs(self.inputs, self.ranges, self.input_scaling == "log_rpm", points)
 
-    def _first_fed(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(S, n_in) what the first layer is fed by: the inputs, or functions of the first one."""
-        if self.functions is None:
-            return inputs
-        import torch
-
-        return torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
-
     def _feed(self, parameters: torch.Tensor, inputs: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """(..., S, n_in) what each layer is fed by, and (..., S, n_out) slopes of the hidden units."""
-        first = self._first_fed(inputs)
-        fed, slopes = [first.expand(*parameters.shape[:-1], *first.shape)], []
+        import torch
+
+        if self.functions == "nodes":
+            inputs = inputs.clamp(-1.0, 1.0)  # nothing is known beyond the nodes: constant
+        fed, slopes = [inputs.expand(*parameters.shape[:-1], *inputs.shape)], []
         for weight, bias in self._layers(parameters)[:-1]:
             value, slope = activate(self.activation, fed[-1] @ weight + bias)
             fed.append(value)
             slopes.append(slope)
+        if self.functions:
+            functions = torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
+            beside = functions.expand(*parameters.shape[:-1], *functions.shape)
+            fed[-1] = torch.cat([fed[-1], beside], dim=-1) if self.hidden else beside
         fed[-1] = self._with_trend(fed[-1], inputs)
         return fed, slopes
 
@@ -156,6 +156,14 @@ class CoefficientModel:
             layers.append((weight, bias))
             start += (n_in + 1) * n_out
         return layers
+
+    def without_output(self, parameters: torch.Tensor) -> torch.Tensor:
+        """The parameters (..., Q) with an output layer of zeros."""
+        import torch
+
+        n_in, n_out = self.sizes[-1] if self.sizes else (0, self.n_parameters)
+        count = (n_in + 1) * n_out
+        return torch.cat([parameters[..., :-count], torch.zeros_like(parameters[..., -count:])], dim=-1)
 
     def physical(
         self, raw: torch.Tensor, scale: torch.Tensor, base: torch.Tensor | float = 0.0

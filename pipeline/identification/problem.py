@@ -50,6 +50,7 @@ class OutputError:
     readings: Readings
     basis: Basis
     features: torch.Tensor  # (M, S, K) at the speeds of the measurement
+    origin: torch.Tensor  # (M, S, U) outputs of the model where the weights are zero
     kept: torch.Tensor  # (A, K) bool: the features that an unknown has
     precision: torch.Tensor  # (K,) or (A, K) of a feature's weight before the data; 0 for none
     scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
@@ -134,7 +135,7 @@ class OutputError:
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the model."""
-        return self.features @ self.coordinates(weights).mT
+        return self.origin + self.features @ self.coordinates(weights).mT
 
     def coordinates(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, U, K) weights of every member; zero where a member does not have an unknown."""
@@ -386,6 +387,7 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
         readings=gather_readings(measurement),
         basis=basis,
         features=basis.at(points),
+        origin=basis.origin(points),
         kept=torch.ones(len(measurement.unknowns.active), basis.n_features, dtype=torch.bool),
         precision=torch.zeros(basis.n_features, dtype=torch.float64),
         scale=basis.model.scale_tensor(),

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.errors import ConfigError
-from pipeline.identification.blocks import Basis
+from pipeline.identification.blocks import Basis, Prior
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.model_error import MeanSquareError, noise_alone
@@ -97,7 +97,10 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
     linear = levenberg_marquardt(half, every, section, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
-    training, judging = (weighed.of_kind(TrainedNetworks, inputs=inputs, aims=aims) for weighed in (half, other))
+    known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
+    training, judging = (
+        weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=inputs[:0]) for weighed in (half, other)
+    )
     watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
     interrupted = False
     try:

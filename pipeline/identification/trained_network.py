@@ -25,7 +25,8 @@ class TrainedNetworks(OutputError):
     """
 
     inputs: torch.Tensor  # (S, 1), scaled
-    aims: torch.Tensor  # (G, T) where the priors of the model parameters lie
+    known: Prior  # of the numbers
+    nodes: torch.Tensor  # (K, 1) scaled inputs at which the prior of functions holds, if there is one
 
     def _n_coefficients(self) -> int:
         return len(self.scale) * self.model.n_parameters
@@ -38,10 +39,34 @@ class TrainedNetworks(OutputError):
 
     @cached_property
     def prior(self) -> Prior:
-        """The unit variance of the model parameters."""
+        """Of the numbers; that of functions is no linear one."""
+        return self.known
+
+    def rows(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows + N), those of the prior of functions last."""
         import torch
 
-        return Prior(torch.eye(self.size, dtype=torch.float64)[self.places.parameters], self.aims)
+        return torch.cat([super().rows(weights), self.deviate(weights)[:, None]], dim=-1)
+
+    def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient (G, 1, Y) and information (G, 1, Y, Y)."""
+
+        gradient, matrix = super().normal(weights)
+        jacobian = self.model.raw_jacobian(self.networks(weights), self.nodes)  # (G, M, K, U, Q)
+        slopes, size = weights.new_zeros(len(weights), len(self.active), len(self.nodes), self.size), jacobian.shape[-1]
+        for a, (m, u) in enumerate(self.active):
+            slopes[:, a, :, m * size : (m + 1) * size] = jacobian[:, m, :, u]
+        slope = self.functions.rows @ slopes.flatten(1, 2)
+        more = self.deviate(weights)[:, None] @ slope
+        return gradient + more, matrix + (slope.mT @ slope)[:, None]
+
+    def deviate(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, N) of the networks' values at the nodes from the prior of functions."""
+        import torch
+
+        values = self.model.raw(self.networks(weights), self.nodes)  # (G, M, K, U)
+        every = torch.stack([values[:, m, :, u] for m, u in self.active], dim=1).flatten(1)
+        return self.functions.deviations(every)
 
     def networks(self, numbers: torch.Tensor) -> torch.Tensor:
         """(G, M, Q) parameters of the coefficient model."""

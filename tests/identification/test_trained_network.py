@@ -12,6 +12,7 @@ from pipeline.comparison.cases import Case
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError
 from pipeline.identification.answer import conclude
+from pipeline.identification.blocks import Prior
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -60,9 +61,11 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
     inputs = model.scaled_inputs(fitted.measurement.dataset.points)
     weighed = replace(fitted, readings=fitted.readings.scaled(share), basis=replace(fitted.basis, model=model))
-    aims = torch.tensor([[0.3], [-0.3]], dtype=torch.float64)
-    problem = weighed.of_kind(TrainedNetworks, inputs=inputs, aims=aims)
     size = 2 * model.n_parameters + 2 * fitted.places.n_planes + 1
+    known = Prior(torch.eye(size, dtype=torch.float64)[-1:], torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
+    rows = torch.randn(5, 3 * len(fitted.active), generator=generator, dtype=torch.float64)
+    functions, nodes = Prior(rows, rows[:, 0]), torch.linspace(-1, 1, 3, dtype=torch.float64)[:, None]
+    problem = weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=nodes, functions=functions)
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
     whole = torch.autograd.functional.jacobian(problem.rows, numbers)
