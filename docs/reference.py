@@ -41,6 +41,7 @@ _ALTERNATIVES = {
     "ConstantModelConfig": "model=constant",
     "FunctionsModelConfig": "model=b_spline",
     "BearingsModelConfig": "model=bearings",
+    "BearingsNetworkModelConfig": "model=bearings_network",
 }
 _SUFFIXES = {"_rpm": "rpm", "_deg": "deg", "_seconds": "s", "_hz": "Hz"}
 _NAMES: dict[Any, str] = {bool: "true, false", int: "whole number", float: "number", str: "text"}

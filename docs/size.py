@@ -20,14 +20,14 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1675,
+    "config": 1685,
     "laws": 487,
     "rotor": 693,
     "data": 929,
     "sweep": 251,
     "ingest": 1297,
     "problem": 1710,
-    "identification": 2614,
+    "identification": 2677,
     "evaluation": 235,
     "twin": 479,
     "balance": 665,
@@ -44,9 +44,9 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18048, 14500),
-    "files": (292, 250),
-    "classes": (337, 260),
+    "statements of pipeline/": (18121, 14500),
+    "files": (293, 250),
+    "classes": (338, 260),
     "is None, is not None": (354, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (57, 150),

@@ -29,8 +29,8 @@ def list_places(names: Sequence[str]) -> list[int]:
     if any(name[1] == name[2] for name in known):
         direct = "kxx, kyy, cxx and cyy"
         raise ConfigError(
-            f"model=bearings must have {direct} among identify.unknowns, but {known[0]} is not: identify it, too, or "
-            "choose model=network_fluid_film"
+            f"a population of bearings must have {direct} among identify.unknowns, but {known[0]} is not: identify it, "
+            "too, or choose model=network_fluid_film"
         )
     return [PLACES[name] for name in names]
 

@@ -144,7 +144,8 @@ class Config(Section):
     @rule
     def _has_a_prior_of_functions(self) -> Iterator[str]:
         if self.loss.kind != "response" and self.model.families:
-            yield f"model=bearings must come with loss=response, which has its prior, but got loss={self.loss.kind}"
+            law = f"model={self.model.kind} must come with loss=response, which has its prior"
+            yield f"{law}, but got loss={self.loss.kind}"
 
     @rule
     def _trains_by_a_residual(self) -> Iterator[str]:

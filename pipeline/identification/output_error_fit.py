@@ -65,7 +65,7 @@ class OutputErrorFit:
         problem, searched = self.problem.scaled(inflation**-0.5), self.start.searched
         if searched is None:
             return measure_error(problem, self.weights)
-        return noise_alone(problem, problem.covariance(self.weights)[0] + searched.spread())
+        return noise_alone(problem, searched.mix(problem.covariance(self.weights)[0]))
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:

@@ -72,8 +72,8 @@ def list_choices(
     rotor, unknowns = measurement.rotor, measurement.unknowns
     if unknowns.shared or (np.abs(unknowns.expansion).sum(axis=1) > 1).any():
         raise ConfigError(
-            "model=bearings must have identify.shared=false and identify.structure=none, since each bearing and "
-            "direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
+            "a population of bearings must have identify.shared=false and identify.structure=none, since each bearing "
+            "and direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
         )
     priors = []
     for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
@@ -179,13 +179,11 @@ class Searched:
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
 
-    def spread(self) -> np.ndarray:
-        """(Z, Z) mean square of what the other answers differ from the best by, with what they leave open beyond it."""
-        import torch
-
-        off, shares = (self.weights - self.weights[:1])[:, 0], torch.as_tensor(self.shares)
-        more = off[:, :, None] * off[:, None] + self.covariance - self.covariance[:1]
-        return np.asarray(torch.einsum("g,gzy->zy", shares, more).numpy())
+    def mix(self, covariance: np.ndarray) -> np.ndarray:
+        """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by."""
+        off = (self.weights - self.weights[:1])[:, 0].numpy()
+        each = np.concatenate([covariance[None], self.covariance[1:].numpy()])
+        return np.asarray(np.einsum("g,gzy->zy", self.shares, off[:, :, None] * off[:, None] + each))
 
 
 def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 6, most_exact: float = 10.0) -> Searched:

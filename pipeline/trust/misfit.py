@@ -82,7 +82,7 @@ class Misfit:
             f"Model and {noise} do not explain the readings: they lie {self.distance:.2g} times as far from the fit as "
             "their noise.",
             "Check units, angles, weights, probes and rotor; state what may be a little wrong as "
-            "identify.model_parameters; use model=bearings for coefficients with kinks.",
+            "identify.model_parameters; use model=bearings_network for coefficients with kinks.",
         )
 
 

@@ -14,13 +14,16 @@ import torch
 from scipy.interpolate import CubicSpline
 
 from pipeline.config.compose import compose_config
-from pipeline.identification.answer import conclude
+from pipeline.identification.answer import conclude, restore
 from pipeline.identification.blocks import no_prior
 from pipeline.identification.fit import fit_sensors
+from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.output_error_start import nodes_basis
 from pipeline.identification.problem import output_error
 from pipeline.identification.search import Whitened
-from pipeline.identification.training import setup_of
+from pipeline.identification.storage import load_model, save_model
+from pipeline.identification.training import Outcome, setup_of
+from pipeline.identification.uncertainty import load_uncertainty, save_uncertainty
 from pipeline.impedance import list_places, to_coordinates
 from pipeline.laws.population import LACKS, make_priors
 from pipeline.rotor.weight import estimate_journals, find_static_loads
@@ -105,6 +108,53 @@ def answer(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, A
     return fit_sensors(load_measurement(config), setup_of(config)), felt
 
 
+@pytest.fixture(scope="module")
+def at_nodes(study: Any, tmp_path_factory: pytest.TempPathFactory) -> OutputErrorFit:
+    """The same, as values at the nodes alone."""
+    folder = tmp_path_factory.mktemp("nodes")
+    study["ordinary"].write_user_files(folder, study["draw"].draw_machine(3), 0.01, 3)
+    config = compose_config([f"machine.file={folder / 'machine.yaml'}", "model=bearings", f"output={folder}"])
+    return fit_sensors(load_measurement(config), setup_of(config))
+
+
+def test_the_network_is_near_the_nodes(answer: tuple[Any, Any], at_nodes: OutputErrorFit) -> None:
+    """All its layers are trained, it converges, and its bands are those of the nodes: one prior, one covariance."""
+    solved, felt = answer
+    network, nodes = conclude(solved), conclude(at_nodes)
+    assert network.model.model.hidden == (24,)
+    assert nodes.model.model.hidden == ()
+    assert network.outcome is Outcome.CONVERGED
+    band, band_of_nodes = network.deviation(felt.speeds), nodes.deviation(felt.speeds)
+    off = np.abs(network.table(felt).values - nodes.table(felt).values) / band_of_nodes
+    assert np.median(off) < 0.3
+    assert off.max() < 2.0
+    assert np.median(band / band_of_nodes) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_network_is_read_back(answer: tuple[Any, Any], tmp_path: Path) -> None:
+    """Its files give its coefficients, their deviations, and the rows of its problem."""
+    solved, felt = answer
+    written = conclude(solved)
+    save_model(tmp_path, written.model)
+    save_uncertainty(tmp_path, written.uncertainty)
+    read = load_model(tmp_path)
+    uncertainty = load_uncertainty(tmp_path, read)
+    np.testing.assert_array_equal(read.table(felt).values, written.table(felt).values)
+    np.testing.assert_allclose(uncertainty.deviation(read, felt.speeds), written.deviation(felt.speeds), rtol=1e-12)
+    problem, weights = restore(solved.problem.measurement, read, uncertainty)
+    np.testing.assert_allclose(problem.outputs(weights), solved.problem.outputs(solved.weights), rtol=1e-9, atol=1e-12)
+
+
+def test_the_answers_of_a_search_are_mixed(answer: tuple[Any, Any]) -> None:
+    """With the one answer it is its covariance; with others it is a covariance, too: no variance below zero."""
+    searched = answer[0].start.searched
+    best = np.diag(np.linspace(0.1, 1.0, searched.covariance.shape[-1])) * 1e-3
+    mixed = searched.mix(best)
+    assert np.linalg.eigvalsh(mixed).min() > 0
+    alone = replace(searched, shares=np.eye(len(searched.shares))[0])
+    np.testing.assert_array_equal(alone.mix(best), best)
+
+
 def test_bands_hold_on_an_ordinary_machine(answer: tuple[Any, Any]) -> None:
     """Seed 3, which is there to choose by: two different journal bearings, three weights that turn forward."""
     solved, felt = answer
@@ -118,12 +168,11 @@ def test_bands_hold_on_an_ordinary_machine(answer: tuple[Any, Any]) -> None:
     assert np.median((1.96 * deviation / np.abs(felt.values))[..., direct]) < 0.25
 
 
-def test_the_whitened_problem_is_its_dense_twin(answer: tuple[Any, Any]) -> None:
+def test_the_whitened_problem_is_its_dense_twin(at_nodes: OutputErrorFit) -> None:
     """Gradient and information by differences of the rows; the prior of the answer has the same square either way."""
-    solved, _ = answer
-    searched = solved.start.searched
-    whitened = Whitened(solved.problem, searched.choices.select([0]))
-    bare = replace(whitened, problem=replace(solved.problem, functions=no_prior()))
+    searched = at_nodes.start.searched
+    whitened = Whitened(at_nodes.problem, searched.choices.select([0]))
+    bare = replace(whitened, problem=replace(at_nodes.problem, functions=no_prior()))
     y = 0.1 * torch.randn(1, 1, bare.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gradient, matrix = bare.normal(y)
     for place in (0, 7, bare.size - 1):
@@ -133,7 +182,7 @@ def test_the_whitened_problem_is_its_dense_twin(answer: tuple[Any, Any]) -> None
         np.testing.assert_allclose((slope * rows).sum(), gradient[0, 0, place], rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(slope.square().sum(), matrix[0, 0, place, place], rtol=1e-4)
     weights = bare.weights(y)
-    off = searched.choices.functions().deviations(weights[:, 0, solved.problem.places.coefficients])
+    off = searched.choices.functions().deviations(weights[:, 0, at_nodes.problem.places.coefficients])
     count = searched.choices.root.shape[-1]
     assert float(off.square().sum()) == pytest.approx(float(y[..., :count].square().sum()), rel=1e-3)
 
