@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
+
+from pipeline.units import RAD_S_PER_RPM
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def write_number(value: float | None, deviation: float | None = None, digits: int = 4) -> str:
@@ -62,3 +68,24 @@ def write_value(value: object) -> str:
 def count(number: int, name: str) -> str:
     """Such as ``1 run`` and ``2 runs``."""
     return f"{number} {name}{'s' if number != 1 else ''}"
+
+
+def write_where(speeds: np.ndarray, lost: np.ndarray, most_ranges: int = 2) -> str:
+    """The speeds (S,) rad/s at which something is ``lost`` (S,), as ranges; as a share where these are many.
+
+    Nothing where it is lost at no speed; a share, too, where several conditions have the same speed.
+    """
+    import numpy as np
+
+    rpm = speeds / RAD_S_PER_RPM
+    ends = np.flatnonzero(np.diff(lost.astype(int), prepend=0, append=0)).reshape(-1, 2)  # first, and behind the last
+    if not len(ends):
+        return ""
+    if lost.all() or len(ends) > most_ranges or (np.diff(rpm) <= 0).any():
+        return f"at {write_percent(float(np.mean(lost)))} of the speeds"
+    ranges = []
+    for first, behind in ends:
+        low, high = (f"{rpm[at]:.4g}" for at in (first - 1, min(behind, len(rpm) - 1)))
+        inner = f"between {low} and {high} rpm"
+        ranges.append(f"below {high} rpm" if first == 0 else f"above {low} rpm" if behind == len(rpm) else inner)
+    return " and ".join(ranges)

@@ -186,16 +186,29 @@ class Searched:
         return np.asarray(np.einsum("g,gzy->zy", self.shares, off[:, :, None] * off[:, None] + each))
 
 
-def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 6, most_exact: float = 10.0) -> Searched:
+def search(
+    problem: OutputError,
+    choices: Choices,
+    seed: int = 0,
+    kept: int = 6,
+    most_exact: float = 10.0,
+    small: float = 0.05,
+) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
-    stated one at least.
+    stated one at least. Directions of the priors whose deviation is ``small`` are left out at first.
     """
     import torch
 
     rough, parameters = _simplify(problem)
-    started, y = _descend(Whitened(rough, choices), seed)
-    whitened, share = Whitened(problem, started.choices), 1.0
-    y = _lift(y, parameters, whitened)
+    main = choices.root.norm(dim=1).amax(dim=0) > small
+    started, y = _descend(Whitened(rough, replace(choices, root=choices.root[..., main])), seed)
+    likely = choices.select([choices.families.index(families) for families in started.choices.families])
+    whitened, share = Whitened(problem, likely), 1.0
+    # What the simpler problem lacks is as it was before the data.
+    kept_rest = torch.ones(problem.places.n_rest - len(parameters), dtype=torch.bool)
+    lifted = torch.zeros(len(y), 1, whitened.size, dtype=y.dtype)
+    lifted[..., torch.cat([main, kept_rest, parameters])] = y
+    y = lifted
     for _ in range(2):
         whitened, y, _ = _rank(whitened, y, kept)
         share = min(share * _noise(whitened, y), most_exact)
@@ -209,25 +222,17 @@ def search(problem: OutputError, choices: Choices, seed: int = 0, kept: int = 6,
     return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray((shares / shares.sum()).numpy()))
 
 
-def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, list[int]]:
-    """The problem of a few ``speeds`` that knows no tolerances of probes, weights and runs; which parameters it has."""
-    measurement, small = problem.measurement, (*OF_WEIGHT, *OF_PROBE, "bearing_drift")
-    kept = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind not in small]
-    count = len(measurement.dataset.speeds)
-    few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
-    parameters = tuple(measurement.parameters[t] for t in kept)
-    simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
-    return output_error(simpler.select(few), problem.basis, problem.plane_scale), kept
-
-
-def _lift(y: torch.Tensor, parameters: list[int], whitened: Whitened) -> torch.Tensor:
-    """Numbers of a simpler problem as those of the whole one, whose other parameters are as stated."""
+def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:
+    """The problem of a few ``speeds`` that knows no tolerances of probes, weights and runs; (T,) parameters it has."""
     import torch
 
-    places = whitened.problem.places
-    rest = torch.zeros(len(y), 1, places.n_parameters, dtype=y.dtype)
-    rest[..., parameters] = y[..., y.shape[-1] - len(parameters) :]
-    return torch.cat([y[..., : y.shape[-1] - len(parameters)], rest], dim=-1)
+    measurement, small = problem.measurement, (*OF_WEIGHT, *OF_PROBE, "bearing_drift")
+    kept = [parameter.kind not in small for parameter in measurement.parameters]
+    count = len(measurement.dataset.speeds)
+    few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
+    parameters = tuple(itertools.compress(measurement.parameters, kept))
+    simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
+    return output_error(simpler.select(few), problem.basis, problem.plane_scale), torch.tensor(kept)
 
 
 def _noise(whitened: Whitened, y: torch.Tensor) -> float:
@@ -244,7 +249,7 @@ def _descend(
     whitened: Whitened,
     seed: int,
     draws: int = 2,
-    stages: Sequence[tuple[float, int, int]] = ((0.003, 8, 24), (0.05, 12, 16), (1.0, 20, 16)),
+    stages: Sequence[tuple[float, int, int]] = ((0.003, 8, 48), (0.05, 12, 32), (1.0, 20, 16)),
 ) -> tuple[Whitened, torch.Tensor]:
     """Minima of the likeliest choices, from each prior's mean and so many ``draws``.
 

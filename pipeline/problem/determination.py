@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.ranking import rank_indices
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.write_numbers import write_percent
+from pipeline.write_numbers import write_percent, write_where
 
 WELL_BELOW = 0.05
 """The 95 % interval is then within 10 % of the coefficient. A critical speed goes with the root of a stiffness, so it
@@ -44,6 +44,7 @@ class Determined:
     name: str
     deviation: float  # standard deviation over size, median over the speeds
     lost: float = 0.0  # share of the speeds at which it is not determined
+    where: str = ""  # these speeds, in words
 
     @property
     def verdict(self) -> Determination:
@@ -88,8 +89,10 @@ class Deviations:
         relative, judged = self.relative[:, self.table.bounded], []
         for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
             share = relative[b, :, c]
-            lost = float(np.mean(~(share < WEAKLY_BELOW)))
-            judged.append(Determined(self.table.nodes[b], COEFFICIENTS[c], float(np.median(share)), lost))
+            lost = ~(share < WEAKLY_BELOW)
+            where = write_where(self.table.speeds[self.table.bounded], lost)
+            size, part = float(np.median(share)), float(np.mean(lost))
+            judged.append(Determined(self.table.nodes[b], COEFFICIENTS[c], size, part, where))
         return tuple(judged)
 
 
@@ -113,7 +116,7 @@ def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> st
     if partly:
         coefficient = partly[rank_indices(judgement.lost for judgement in partly)[0]]
         where = f" at node {coefficient.node}" if several else ""
-        parts.append(f"{coefficient.name}{where} not at {write_percent(coefficient.lost)} of the speeds")
+        parts.append(f"{coefficient.name}{where} not {coefficient.where}")
     return "; ".join(parts)
 
 
@@ -126,6 +129,7 @@ def summarize_determined(judged: Sequence[Determined]) -> dict[str, dict[str, di
             "verdict": coefficient.verdict.value,
             "deviation_percent": percent,
             "not_determined_at_percent_of_speeds": 100 * coefficient.lost,
+            "not_determined": coefficient.where,
         }
     return result
 
@@ -137,5 +141,6 @@ def read_determined(summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> l
         for name, entry in coefficients.items():
             percent = entry["deviation_percent"]
             deviation = np.inf if percent is None else percent / 100
-            judged.append(Determined(int(node), name, deviation, entry["not_determined_at_percent_of_speeds"] / 100))
+            lost = entry["not_determined_at_percent_of_speeds"] / 100
+            judged.append(Determined(int(node), name, deviation, lost, entry["not_determined"]))
     return judged

@@ -215,7 +215,7 @@ def judge_coefficient(
     tolerances = {kind: _median(tolerance[b, :, c] / size) for kind, tolerance in evidence.tolerances.items()}
     reasons = _judge_band(f"{name} at node {node}", determined, fit, tolerances)
     if not reasons and determined.lost > most_lost:
-        lost = f"{name} at node {node} is not determined at {write_percent(determined.lost)} of the speeds."
+        lost = f"{name} at node {node} is not determined {determined.where}."
         reasons.append(Reason(Verdict.WITH_CARE, lost))
     if is_direct(name) and (wrong := float(np.mean(values[:, c] <= 0))) > 0.0:
         reasons.append(
@@ -246,6 +246,7 @@ def judge_coefficient(
         "determination": {
             "deviation_percent": 100 * fit,
             "not_determined_at_percent_of_speeds": 100 * determined.lost,
+            "not_determined": determined.where,
         },
         "band": band,
         "tolerances": {f"{kind}_percent": 100 * tolerance for kind, tolerance in tolerances.items()},
@@ -272,7 +273,9 @@ def _judge_band(which: str, determined: Determined, fit: float, tolerances: dict
     if verdict is Verdict.NO:
         deviation = write_percent(determined.deviation)
         return [Reason(verdict, f"The data do not determine {which}: {deviation} is one standard deviation.")]
-    return [Reason(verdict, f"{which} is known to {write_percent(NOMINAL_95 * determined.deviation)} only (95 %).")]
+    lost = f", and not determined {determined.where}" if determined.lost else ""
+    known = write_percent(NOMINAL_95 * determined.deviation)
+    return [Reason(verdict, f"{which} is known to {known} only (95 %){lost}.")]
 
 
 def _find_move(evidence: Evidence, b: int, c: int, expected: float = 3.5) -> tuple[str | None, float, float]:

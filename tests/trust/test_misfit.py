@@ -57,7 +57,12 @@ def test_when_the_readings_are_explained(fit: dict[str, Any], explained: bool) -
     assert "kxx well determined" in said
 
 
-CERTAIN = {"verdict": "well determined", "deviation_percent": 1.0, "not_determined_at_percent_of_speeds": 0.0}
+CERTAIN = {
+    "verdict": "well determined",
+    "deviation_percent": 1.0,
+    "not_determined_at_percent_of_speeds": 0.0,
+    "not_determined": "",
+}
 
 
 def test_a_prediction_that_leaves_all_bounds_is_none() -> None:
