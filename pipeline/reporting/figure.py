@@ -1,6 +1,6 @@
 """A figure as a value: panels of curves over axes with units, in colour-blind safe colours.
 
-Matplotlib draws it for PNG files and the PDF (``matplotlib_figures``), plotly for the page (``plotly_panels``). What is
+Matplotlib draws it for PNG files and the PDF (``matplotlib_figures``), plotly for the page (``report.page``). What is
 modelled is a line, what is identified markers. What has no finite number is neither drawn nor named.
 """
 

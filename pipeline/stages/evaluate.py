@@ -31,7 +31,7 @@ from pipeline.reporting.fit_tables import (
     print_error_table,
     print_numbers,
 )
-from pipeline.reporting.training_figures import draw_history
+from pipeline.reporting.training import draw_history
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore

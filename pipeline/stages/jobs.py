@@ -28,7 +28,7 @@ def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
         return
     from pipeline.data.tables import write_table
     from pipeline.reporting.console import say, table
-    from pipeline.reporting.study_figures import draw_jobs
+    from pipeline.reporting.study_files import draw_jobs
     from pipeline.write_numbers import write_value
 
     shown = [name for name in COLUMNS if any(name in job_summary for job_summary in summaries.values())]

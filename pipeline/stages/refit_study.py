@@ -23,8 +23,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress
-from pipeline.reporting.repeats_tables import print_refits
-from pipeline.reporting.training_figures import draw_refits
+from pipeline.reporting.training import draw_refits, print_refits
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
 

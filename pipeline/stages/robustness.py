@@ -14,8 +14,7 @@ from pipeline.files import write_json
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import Outcome, minimise, setup_of
 from pipeline.reporting.console import training_progress
-from pipeline.reporting.repeats_tables import print_starts
-from pipeline.reporting.training_figures import draw_robustness
+from pipeline.reporting.training import draw_robustness, print_starts
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.diagnose import say_diagnosis
 from pipeline.stages.execution import StageOutput, use_threads

@@ -11,7 +11,7 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table
-from pipeline.reporting.study_figures import draw_samplers
+from pipeline.reporting.study_files import draw_samplers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import prepare

@@ -8,7 +8,7 @@ import pytest
 from conftest import Run
 
 from pipeline.config.compose import compose_config
-from pipeline.reporting.summary_text import WIDTH
+from pipeline.reporting.summary import WIDTH
 
 LINES = 40
 FEW = [

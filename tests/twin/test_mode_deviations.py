@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import Machine
 
-from pipeline.reporting.summary_text import _describe_stability
+from pipeline.reporting.summary import _describe_stability
 from pipeline.reporting.twin import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems

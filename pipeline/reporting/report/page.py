@@ -1,4 +1,7 @@
-"""One HTML page of the sections, with all that it needs inside: it opens offline, on a phone, and prints."""
+"""One HTML page of the sections, with all that it needs inside: it opens offline, on a phone, and prints.
+
+Panels are plotly's traces and layouts: plain dictionaries, which the page hands to plotly in the browser.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,27 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from pipeline.files import write_text
-from pipeline.reporting.figure import Figure
-from pipeline.reporting.plotly_panels import describe_panel
+from pipeline.reporting.figure import GREY, MICROMETRES, Axes, Curve, Figure, HeatMap, Panel, count_decades
 from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK, Section, Table, typeset
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
 """Columns of these are aligned to the right."""
 _FOLDER = Path(__file__).parent
+_SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
+_FONT = {"family": "system-ui, sans-serif", "size": 11, "color": "#222"}
+_GRID = {
+    "gridcolor": "#e4e4e4",
+    "linecolor": GREY,
+    "zeroline": False,
+    "ticks": "outside",
+    "ticklen": 3,
+    "automargin": True,
+}
 _DASHES = {"solid": "", "dash": "6,4", "dashdot": "7,3,2,3", "dot": "2,3", "longdash": "9,3"}
 
 
@@ -27,7 +42,7 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
     environment.filters["typeset"] = typeset
     figures = [block for section in sections for block in section.blocks if isinstance(block, Figure)]
     every = [panel for figure in figures for panel in figure.panels]
-    panels = {panel: describe_panel(panel) | {"id": f"panel{i}"} for i, panel in enumerate(every)}
+    panels = {panel: _describe_panel(panel) | {"id": f"panel{i}"} for i, panel in enumerate(every)}
     text = environment.get_template("page.html").render(
         title=title,
         head=head,
@@ -52,3 +67,139 @@ def _find_textual(table: Table) -> list[bool]:
     """Which columns have more than numbers."""
     columns = range(len(table.header))
     return [any(not _NUMBER.fullmatch(typeset(row[c])) for row in table.rows) for c in columns]
+
+
+def _describe_panel(panel: Panel) -> dict[str, Any]:
+    """``traces``, ``layout``, ``wide`` and what the page's choices of units act on."""
+    margin, height = {"l": 8, "r": 14, "t": 34, "b": 8}, 335 if panel.equal else 290 + 110 * (len(panel.axes) - 1)
+    if panel.round:
+        traces, layout = _describe_polar(panel)
+        margin, height = {"l": 40, "r": 40, "t": 62, "b": 24}, 335
+    else:
+        traces, layout = _describe_axes(panel)
+    layout |= {
+        "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "xanchor": "left", "y": 0.97, "yanchor": "top"},
+        "font": _FONT,
+        "margin": margin,
+        "paper_bgcolor": "#fff",
+        "plot_bgcolor": "#fff",
+        "showlegend": False,
+        "hovermode": "closest",
+    }
+    return {"traces": traces, "layout": layout, "wide": panel.wide, "height": height}
+
+
+def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    traces: list[dict[str, Any]] = [] if panel.heat is None else [_describe_heat(panel.heat)]
+    layout: dict[str, Any] = {"shapes": []}
+    layout["xaxis"] = _describe_axis(panel.x_title, panel.x_names, panel.log_x, panel.x_range)
+    for i, (axes, domain) in enumerate(zip(panel.axes, _share(len(panel.axes)), strict=True)):
+        suffix = "" if i == 0 else str(i + 1)
+        y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log", axes.y_range) | {"domain": domain}
+        if axes.scale == "log":
+            y |= {
+                "dtick": "D2" if count_decades([curve.y for curve in axes.curves]) < 1.5 else 1,
+                "exponentformat": "power",
+            }
+        layout[f"yaxis{suffix}"] = y
+        kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
+        for curve in axes.curves:
+            described = _describe_curve(curve, kind, axes.scale == "log")
+            traces += [trace | {"xaxis": "x", "yaxis": f"y{suffix}"} for trace in described]
+        look = {"type": "line", "yref": f"y{suffix} domain", "y0": 0, "y1": 1, "line": {"color": GREY, "dash": "dot"}}
+        layout["shapes"] += [look | {"x0": at, "x1": at, "label": {"text": text}} for at, text in axes.rules]
+    if len(panel.axes) > 1:
+        layout["xaxis"]["anchor"] = f"y{len(panel.axes)}"
+    if panel.equal:
+        size = _reach(panel.axes[0]) * (MICROMETRES if panel.axes[0].quantity else 1.0)
+        for letter, (low, high) in zip("xy", size, strict=True):
+            layout[f"{letter}axis"] |= {"range": [low, high]}
+    if panel.bare:
+        layout["yaxis"] |= {"visible": False}
+    return traces, layout
+
+
+def _describe_axis(title: str, names: Sequence[str], logarithmic: bool, reach: Sequence[float]) -> dict[str, Any]:
+    axis = _GRID | {"title": {"text": title, "standoff": 4}, "type": "log" if logarithmic else "linear"}
+    if len(reach):
+        axis["range"] = [float(np.log10(end)) if logarithmic else end for end in reach]
+    return axis | ({"tickvals": list(range(len(names))), "ticktext": list(names)} if names else {})
+
+
+def _share(count: int) -> list[list[float]]:
+    """Domains from above to below: the first is the largest."""
+    if count == 1:
+        return [[0.0, 1.0]]
+    lower = 0.66 / count
+    edges = [[0.04 + lower * i, lower * (i + 1)] for i in range(count - 1)][::-1]
+    edges[-1][0] = 0.0
+    return [[edges[0][1] + 0.06, 1.0], *edges]
+
+
+def _reach(axes: Axes) -> np.ndarray:
+    """(2, 2) from and to of x and y, equally long, around all curves."""
+    ends = np.array([[f(np.concatenate([getattr(c, k) for c in axes.curves])) for f in (np.min, np.max)] for k in "xy"])
+    half = 0.55 * max(float(np.ptp(ends, axis=1).max()), 1e-12)
+    return np.asarray(ends.mean(axis=1)[:, None] + half * np.array([-1.0, 1.0]))
+
+
+def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[dict[str, Any]]:
+    """The line or the markers, and the area of the band; ``meta`` says what the page scales."""
+    if not curve.shown or not len(curve.x):
+        return []
+    curve = curve.thin()
+    high = {"y": MICROMETRES_PEAK_TO_PEAK, "r": MICROMETRES_PEAK_TO_PEAK, "xy": MICROMETRES}.get(kind, 1.0)
+    wide = high if kind == "xy" else 1.0
+    about: dict[str, Any] = {"name": curve.label, "meta": kind}
+    trace = about | _describe_look(curve) | {"hoverinfo": "skip" if curve.filled or not curve.label else "all"}
+    if kind == "r":
+        return [trace | {"type": "scatterpolar", "theta": _round(curve.x), "r": _round(high * curve.y)}]
+    trace |= {"type": "scatter", "x": _round(wide * curve.x), "y": _round(high * curve.y), "opacity": curve.alpha}
+    trace |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.25)} if curve.filled else {}
+    x, least, most = curve.edges(logarithmic)
+    band = about | {"type": "scatter", "mode": "lines", "name": "", "line": {"width": 0}, "hoverinfo": "skip"}
+    band |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.22 * curve.alpha)}
+    band |= {"x": _round(wide * np.r_[x, x[::-1]]), "y": _round(high * np.r_[most, least[::-1]])}
+    return [band, trace] if len(x) else [trace]
+
+
+def _describe_look(curve: Curve) -> dict[str, Any]:
+    symbol = _SYMBOLS.get(curve.marker, "circle") + ("" if curve.full or curve.marker in "x" else "-open")
+    dash, marked = curve.dash if curve.dash != "none" else "solid", {"color": curve.colour, "symbol": symbol}
+    drawn = ["lines"] * (curve.dash != "none") + ["markers"] * bool(curve.marker) + ["text"] * bool(curve.texts)
+    return {
+        "mode": "+".join(drawn) or "none",
+        "line": {"color": curve.colour, "dash": dash, "width": curve.width},
+        "marker": marked | {"size": 1.5 * curve.size, "line": {"color": curve.colour, "width": 1.3}},
+        "text": list(curve.texts),
+        "textposition": "top center",
+        "textfont": {"size": 10, "color": curve.colour},
+    }
+
+
+def _describe_polar(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
+    angles = {"rotation": panel.polar, "direction": "clockwise", "gridcolor": "#e4e4e4", "ticksuffix": "°", "dtick": 45}
+    radii = {"gridcolor": "#e4e4e4", "angle": 0, "nticks": 4, "tickfont": {"size": 9}}
+    return traces, {"polar": {"angularaxis": angles, "radialaxis": radii, "bgcolor": "#fff"}}
+
+
+def _describe_heat(heat: HeatMap) -> dict[str, Any]:
+    return {
+        "type": "heatmap",
+        "x": _round(heat.x),
+        "y": _round(heat.y),
+        "z": [_round(row, 3) for row in heat.z],
+        "colorscale": heat.colours.capitalize(),
+        "colorbar": {"title": {"text": heat.title, "side": "right"}, "thickness": 12, "tickfont": {"size": 9}},
+        "meta": "",
+    }
+
+
+def _round(values: np.ndarray, digits: int = 5) -> list[float | None]:
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float).tolist()]
+
+
+def _fade(colour: str, alpha: float) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{alpha})"

@@ -12,8 +12,7 @@ from pipeline.evaluation.physical_numbers import find_contradiction, list_contra
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
-from pipeline.reporting.report.machine import describe_machine
-from pipeline.reporting.report.measured import describe_measured
+from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
 from pipeline.reporting.tables import Block, Cell, Mark, Paragraph, Section, Table
 from pipeline.trust.judgement import AS_FELT

@@ -30,7 +30,7 @@ from pipeline.reporting.figure import (
 )
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
-from pipeline.reporting.report.machine import describe_weight
+from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Paragraph, Section, Table
 from pipeline.reporting.twin import CRITICAL, list_critical
 from pipeline.units import RAD_S_PER_RPM

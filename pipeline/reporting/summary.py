@@ -1,4 +1,7 @@
-"""The results of an experiment on one screen: at most 40 lines of 100 columns (a path is never cut)."""
+"""The results of an experiment on one screen, at most 40 lines of 100 columns (no path is cut), and in one picture.
+
+The picture has the coefficients, a run as measured and predicted, and the twin's response.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,40 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, unit
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.coefficient_figures import Coefficients
+from pipeline.reporting.coefficient_figures import KINDS, Coefficients
+from pipeline.reporting.figure import (
+    BLUE,
+    GREEN,
+    GREY,
+    LOOKS,
+    MICROMETRES,
+    NOTHING,
+    ORANGE,
+    PURPLE,
+    RPM,
+    Axes,
+    Curve,
+    Figure,
+    Panel,
+    mark,
+)
 from pipeline.reporting.fit_tables import describe_verdicts
+from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
+from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import count, format_engineering, write_number
 
 WIDTH = 100
+_AMPLITUDE = "amplitude (µm, zero-to-peak)"
 _INDENT = " " * 13
 _MOST_ROWS = 16
 """All eight coefficients of two bearings."""
@@ -262,3 +284,76 @@ def _name_nodes(nodes: Iterable[int]) -> str:
     if len(every) > 3 and np.ptp(every) == len(every) - 1:
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
+
+
+def draw_summary(path: Path, results: Results, title: str) -> Path:
+    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
+
+    Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
+    """
+    label = ""
+    if results.dataset.operating:
+        label, results = results.nearest()
+    beside = f", {label}" if label else ""
+    panels = [_draw_coefficients(results.coefficients, letter, beside) for letter in "kc"]
+    panels += [_draw_run(results, beside), _draw_response(results)]
+    return write_figure(path, Figure("summary", title, panels))
+
+
+def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
+    """A colour a coefficient, a marker a bearing; what is known is dashed."""
+    some, nodes = shown.choose(letter), shown.identified.nodes
+    names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
+    curves = []
+    for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
+        for b, node in enumerate(nodes):
+            look = (colour, LOOKS[b % 5][1])
+            curves += shown.draw(b, name, f"{name}, node {node}", look, 1.0)
+    values = np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
+    positive, several = values.min() > 0, values.max() > 5 * values.min()
+    # Noise of an axis that starts at its curves would look like a finding.
+    reach = (0.0, 1.15 * float(values.max())) if positive and not several else ()
+    scaled = "log" if positive and several else "linear"
+    axes = Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)
+    known = "" if some else " (known, not identified)"
+    return Panel(f"{KINDS[letter]} of the bearings{known}{beside}", RPM, [axes], legend=True)
+
+
+def _draw_run(results: Results, beside: str) -> Panel:
+    """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
+    shown = results.shown
+    at = shown.measured.any(axis=1)  # points that the run was measured at
+    rpm = to_rpm(results.dataset.speeds)[at]
+    measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
+    label = "measured (modelled data)" if results.coefficients.compared else "measured"
+    curves = [
+        mark(rpm, measured, label, BLUE, count=60),
+        Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
+    ]
+    fitted = "not fitted" if shown.held_out else "fitted"
+    title = f"run {shown.name} ({fitted}), {name_channel(results.dataset.channels[shown.probe])}{beside}"
+    return Panel(title, RPM, [Axes(curves, _AMPLITUDE, scale="log")], legend=True)
+
+
+def _draw_response(results: Results) -> Panel:
+    """The response to the unbalance that no run has, and the critical speeds."""
+    identified, modelled, rpm = (
+        results.twin.vibration["identified"],
+        results.twin.vibration.get("modelled"),
+        results.rpm,
+    )
+    curves, (sizes, deviations) = [], measure_sizes(identified)
+    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
+        size, label = sizes[:, d], f"{direction} predicted"
+        if modelled is None:
+            curves.append(Curve(rpm, size, label, colour, dash))
+        else:
+            true = measure_sizes(modelled)[0][:, d]
+            curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
+        curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
+    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
+    if critical:
+        curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
+    title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"
+    axes = Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])
+    return Panel(title, RPM, [axes], legend=True)

@@ -1,15 +1,17 @@
-"""Figures of training: its loss over the steps, and answers from other guesses, seeds and data sets."""
+"""Training: its loss over the steps, and answers from other guesses, seeds and data sets; in figures and on screen."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from string import ascii_lowercase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.coefficients import unit
 from pipeline.data.tables import read_table
+from pipeline.reporting.console import say, table
 from pipeline.reporting.figure import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
@@ -105,3 +107,59 @@ def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
     ]
     names = [f"{name}\nnode {node}" for (node, name), _ in groups]
     return write_figure(path, Figure("robustness", "", [Panel("", "", axes, x_names=names, wide=True)], columns=1))
+
+
+def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: float) -> None:
+    """The outcomes of all starts, and the worst and the median error of each coefficient."""
+    outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
+    varied = {"seed": "seeds", "initial_guess": "initial guesses"}[over]
+    say(f"{name}: {summary['starts']} {varied} trained at once in {seconds:.1f} s ({outcomes})")
+    rows = [
+        [
+            f"node {node} {coefficient}",
+            f"{values['worst_mean_error_percent']:.2g}",
+            f"{values['median_mean_error_percent']:.2g}",
+        ]
+        for node, entry in summary["coefficients"].items()
+        for coefficient, values in entry.items()
+    ]
+    if rows:
+        table(
+            f"{name}: mean error % over all {varied}",
+            ["bearing and coefficient", "worst", "median"],
+            rows,
+        )
+
+
+def print_refits(name: str, summary: Mapping[str, Any]) -> None:
+    """Error, bound and coverage of each coefficient over the data sets, and of the numbers of bearing laws."""
+    shown = [
+        [
+            f"node {node} {coefficient}",
+            f"{measures['median_error_percent']:.3g}",
+            f"{measures['worst_median_error_percent']:.3g}",
+            f"{measures['median_bound_percent']:.3g}",
+            f"{measures['rmse_over_bound']:.2f}",
+            f"{measures['within_95_percent_interval']:.1f}",
+        ]
+        for node, coefficients in summary["coefficients"].items()
+        for coefficient, measures in coefficients.items()
+    ]
+    errors = ["median error %, typical", "worst data set", "standard deviation by the bound, %", "error over bound"]
+    header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]
+    table(f"{name}: {summary['data_sets']} measurements of the machine, each identified by itself", header, shown)
+    say(
+        f"all coefficients: median error {summary['median_error_percent']:.3g} %, "
+        f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "
+        f"{summary['rejected_percent']:.0f} % of the data sets"
+    )
+    for state, bearings in summary.get("unmeasured", {}).items():
+        worst = max(entry["median_error_percent"] for names in bearings.values() for entry in names.values())
+        typical = summary["all_unmeasured"][state]["median_error_percent"]
+        say(f"at {state}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
+    for number, error in summary.get("numbers", {}).items():
+        say(
+            f"{number}: error {error['median_error_percent']:.3g} %, typically, "
+            f"{error['worst_error_percent']:.3g} % at worst; "
+            f"{error['within_95_percent_interval']:.0f} % inside the 95 % interval"
+        )
