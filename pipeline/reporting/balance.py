@@ -77,8 +77,11 @@ def print_estimates(name: str, method: str, rows: Sequence[Mapping[str, Any]], m
         lines.append([rows[first]["condition"], *cells, _remark(rows[first])])
     plain = most - sum(bool(line[-1]) for line in lines) if len(lines) > most else most
     shown = [line for i, line in enumerate(lines) if line[-1] or i < plain]
-    header = ["condition", *(f"node {node}, {what}" for node in planes for what in ("g mm", "deg", "known")), "remark"]
-    table(f"{name}: unbalance by {method} (+- 95 %)", header, shown)
+    table(
+        f"{name}: unbalance by {method} (+- 95 %)",
+        ["condition", *(f"node {node}, {what}" for node in planes for what in ("g mm", "deg", "known")), "remark"],
+        shown,
+    )
     if len(shown) < len(lines):
         say(f"{len(lines) - len(shown)} more conditions are in balance.csv")
 
@@ -105,18 +108,20 @@ def describe_sheet(
 ) -> dict[str, Any]:
     """The sheet for ``balance.json``: of each plane the weights, the unbalance before and what remains."""
     before, left, at_most = source.weights(sheet.unbalance), source.weights(sheet.remaining), sheet.at_most()
-    rows = [
-        {
-            "node": node,
-            "weights": [{"hole": w.hole, "mass_g": 1e3 * w.mass} for w in sheet.weights[n]],
-            **_show_complex("unbalance", before[n]),
-            **_show_complex("remaining", left[n]),
-            "circle_g_mm": _blank(sheet.circle[n] / GRAM_MILLIMETRE),
-            "remaining_at_most_g_mm": _blank(at_most[n] / GRAM_MILLIMETRE),
-        }
-        for n, node in enumerate(planes)
-    ]
-    return {"planes": rows, "tolerance": _judge_tolerance(sheet, tolerance)}
+    return {
+        "planes": [
+            {
+                "node": node,
+                "weights": [{"hole": w.hole, "mass_g": 1e3 * w.mass} for w in sheet.weights[n]],
+                **_show_complex("unbalance", before[n]),
+                **_show_complex("remaining", left[n]),
+                "circle_g_mm": _blank(sheet.circle[n] / GRAM_MILLIMETRE),
+                "remaining_at_most_g_mm": _blank(at_most[n] / GRAM_MILLIMETRE),
+            }
+            for n, node in enumerate(planes)
+        ],
+        "tolerance": _judge_tolerance(sheet, tolerance),
+    }
 
 
 def print_sheet(title: str, described: Mapping[str, Any]) -> None:
@@ -130,8 +135,7 @@ def print_sheet(title: str, described: Mapping[str, Any]) -> None:
         ]
         bounds = [_show_bound(plane[key]) for key in ("circle_g_mm", "remaining_at_most_g_mm")]
         rows.append([f"node {plane['node']}", ", ".join(weights) or "no weight", *vectors, *bounds])
-    header = ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"]
-    table(title, header, rows)
+    table(title, ["plane", "put in", "unbalance, g mm", "remains, g mm", "+- (95 % circle)", "at most (95 %)"], rows)
     verdicts = {"met": "is met", "not met": "is not met", "open": "may or may not be met"}
     for plane in described["tolerance"]:
         permissible = write_number(plane["permissible_g_mm"], digits=3)
@@ -206,18 +210,20 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str, most: i
     speeds = sorted({row["speed_rpm"] for row in read})
     every = max(1, -(-len(speeds) // most))
     shown = speeds[::-every]
-    header = ["probe", "rpm", f"before, {unit}", f"after, {unit}"]
-    lines = [
+    table(
+        "vibration, zero-to-peak as the recordings have it (+- 95 % of one record)",
+        ["probe", "rpm", f"before, {unit}", f"after, {unit}"],
         [
-            row["probe"],
-            f"{row['speed_rpm']:.0f}",
-            write_number(row["before"], digits=3),
-            write_number(row["after"], row["band_95"]),
-        ]
-        for row in read
-        if row["speed_rpm"] in shown
-    ]
-    table("vibration, zero-to-peak as the recordings have it (+- 95 % of one record)", header, lines)
+            [
+                row["probe"],
+                f"{row['speed_rpm']:.0f}",
+                write_number(row["before"], digits=3),
+                write_number(row["after"], row["band_95"]),
+            ]
+            for row in read
+            if row["speed_rpm"] in shown
+        ],
+    )
     if len(shown) < len(speeds):
         say(f"{len(speeds) - len(shown)} more speeds are in balance.json")
 
@@ -296,8 +302,16 @@ def draw_balance(
                 Curve(pair[:1].real, pair[:1].imag, "known weight", GREY, "none", "+", size=7),
                 Curve(pair[1:].real, pair[1:].imag, label, colour, "none", "o", full=True, texts=texts),
             ]
-        title = f"plane at node {node}: g mm and angle on the shaft"
-        panels.append(Panel(title, "", [Axes(curves, "")], equal=True, bare=True, wide=True))
+        panels.append(
+            Panel(
+                f"plane at node {node}: g mm and angle on the shaft",
+                "",
+                [Axes(curves, "")],
+                equal=True,
+                bare=True,
+                wide=True,
+            )
+        )
     return write_figure(path, Figure("balance", "", panels, columns=1))
 
 
@@ -310,5 +324,8 @@ def _draw_grid(reach: float) -> list[Curve]:
     lines = (*(size * turn for size in sizes), *rays)
     curves = [Curve(line.real, line.imag, "", GREY, width=0.5, alpha=0.5) for line in lines]
     ends = 0.97 * rays[:, 1]
-    angles = Curve(ends.real, ends.imag, "", GREY, "none", texts=[f"{angle}°" for angle in range(0, 360, 45)])
-    return [*curves, angles, Curve(0 * sizes, sizes, "", GREY, "none", texts=[f"{size:g}" for size in sizes])]
+    return [
+        *curves,
+        Curve(ends.real, ends.imag, "", GREY, "none", texts=[f"{angle}°" for angle in range(0, 360, 45)]),
+        Curve(0 * sizes, sizes, "", GREY, "none", texts=[f"{size:g}" for size in sizes]),
+    ]

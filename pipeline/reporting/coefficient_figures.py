@@ -43,8 +43,12 @@ class Coefficients:
     ) -> Coefficients:
         """What there is."""
         nothing = np.full_like(identified.values, np.nan)
-        true = nothing if modelled is None else modelled.values
-        return cls(identified, true, unknowns, nothing if deviation is None else deviation)
+        return cls(
+            identified,
+            nothing if modelled is None else modelled.values,
+            unknowns,
+            nothing if deviation is None else deviation,
+        )
 
     @property
     def compared(self) -> bool:
@@ -63,8 +67,12 @@ class Coefficients:
 
     def at(self, points: np.ndarray) -> Coefficients:
         """The same at these points."""
-        table = self.identified.at(points)
-        return replace(self, identified=table, modelled=self.modelled[:, points], deviation=self.deviation[:, points])
+        return replace(
+            self,
+            identified=self.identified.at(points),
+            modelled=self.modelled[:, points],
+            deviation=self.deviation[:, points],
+        )
 
     def choose(self, letters: str) -> list[str]:
         """The coefficients of these letters (k, c) that are identified of any bearing."""
@@ -147,8 +155,12 @@ def draw_coefficients(path: Path, shown: Coefficients, letter: str = "") -> Path
 def pick_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray], most: int = 8) -> list[tuple[str, np.ndarray]]:
     """The states of points (S,); of more than ``most``, so many from the first to the last."""
     states = split_states(speeds, operating)
-    keep = np.unique(np.linspace(0, len(states) - 1, min(len(states), most)).round().astype(int))
-    return [states[i] for i in keep]
+    return [states[i] for i in space_evenly(len(states), most)]
+
+
+def space_evenly(count: int, most: int) -> list[int]:
+    """At most so many indices below the ``count``, the first and the last among them."""
+    return sorted({round(place) for place in np.linspace(0, count - 1, most).tolist()})
 
 
 def colour_states(count: int) -> list[str]:
@@ -161,8 +173,9 @@ def colour_states(count: int) -> list[str]:
 
 def list_states(shown: Coefficients) -> list[tuple[str, Coefficients]]:
     """Name of each measured state, and the answer at its points."""
-    picked = pick_states(shown.identified.speeds, shown.identified.operating)
-    return [(label, shown.at(points)) for label, points in picked]
+    return [
+        (label, shown.at(points)) for label, points in pick_states(shown.identified.speeds, shown.identified.operating)
+    ]
 
 
 def draw_state_panels(

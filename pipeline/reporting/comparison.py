@@ -34,8 +34,15 @@ def draw_comparison(path: Path, comparison: Comparison, least: float = 1e-4) -> 
         shown.append((title, by_speeds, "speeds"))
     every = [comparison.error(method, case) for _, cases, _ in shown for case in cases for method in methods]
     reach = (least, 2 * float(np.nanmax([10 * least, *every])))
-    panels = [_draw_panel(title, comparison, methods, cases, key, reach) for title, cases, key in shown]
-    return write_figure(path, Figure("comparison", "", panels, columns=1))
+    return write_figure(
+        path,
+        Figure(
+            "comparison",
+            "",
+            [_draw_panel(title, comparison, methods, cases, key, reach) for title, cases, key in shown],
+            columns=1,
+        ),
+    )
 
 
 def _sort_methods(comparison: Comparison) -> list[str]:
@@ -69,9 +76,14 @@ def _draw_panel(
     texts = ["no answer"] * int(silent.sum())
     curves.append(Curve(np.full(len(texts), 4 * least), places[silent] + 0.2, "", GREY, "none", texts=texts))
     names = [METHODS[method].label for method in methods]
-    axes = Axes(curves, "", y_names=names)
-    below = f"median error of the worst coefficient (%); hollow: below {least:g}"
-    return Panel(title, below, [axes], log_x=True, x_range=(0.7 * least, most), wide=True)
+    return Panel(
+        title,
+        f"median error of the worst coefficient (%); hollow: below {least:g}",
+        [Axes(curves, "", y_names=names)],
+        log_x=True,
+        x_range=(0.7 * least, most),
+        wide=True,
+    )
 
 
 def _list_noises(

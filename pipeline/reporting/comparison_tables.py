@@ -109,8 +109,11 @@ class Comparison:
         errors = self.entries(method, case)
         if not errors:
             return rows[0].outcome.replace("_", " ")
-        silent = f" ({len(errors)} of {len(rows)} answer)" if len(errors) < len(rows) else ""
-        return self.format_entry(method, case) + silent + (" ?" if any(r.doubt for r in rows) else "")
+        return (
+            self.format_entry(method, case)
+            + (f" ({len(errors)} of {len(rows)} answer)" if len(errors) < len(rows) else "")
+            + (" ?" if any(r.doubt for r in rows) else "")
+        )
 
     def format_entry(self, method: str, case: Case, name: str | None = None) -> str:
         """Mean, and the spread where there are several data sets; bold where it is level with the best."""
@@ -215,8 +218,11 @@ def make_tables(comparison: Comparison) -> list[Table]:
 
 def _make_table(comparison: Comparison, title: str, columns: Sequence[tuple[Case, str]]) -> Table:
     cases = [case for case, _ in columns]
-    rows = [[comparison.label(m, cases), *(comparison.cell(m, case) for case in cases)] for m in comparison.methods]
-    return Table(title, ["method", *(name for _, name in columns)], rows)
+    return Table(
+        title,
+        ["method", *(name for _, name in columns)],
+        [[comparison.label(m, cases), *(comparison.cell(m, case) for case in cases)] for m in comparison.methods],
+    )
 
 
 def write_markdown(comparison: Comparison) -> str:
@@ -224,10 +230,9 @@ def write_markdown(comparison: Comparison) -> str:
     texts = []
     for made in make_tables(comparison):
         answered = [row for row in made.rows if any(character.isdigit() for cell in row[1:] for character in str(cell))]
-        text = f"Median error in percent, {made.caption}:\n\n{format_markdown(made.header, answered)}"
         named = "; ".join(f"{row[0]} ({row[1]})" for row in made.rows if row not in answered and row[1])
         below = "\n".join(["", *wrap(f"No answer: {named}.", 100), ""]) if named else ""
-        texts.append(text + below)
+        texts.append(f"Median error in percent, {made.caption}:\n\n{format_markdown(made.header, answered)}" + below)
     return "\n".join(texts)
 
 
@@ -237,8 +242,7 @@ def tabulate(comparison: Comparison) -> list[dict[str, object]]:
     ``median_error_percent`` is the mean over the data sets; ``_std``, ``_median``, ``_min`` and ``_max`` follow it.
     """
     rows: list[dict[str, object]] = []
-    keys = dict.fromkeys((r.method, replace(r.case, data_set=0)) for r in comparison.results)
-    for method, case in keys:
+    for method, case in dict.fromkeys((r.method, replace(r.case, data_set=0)) for r in comparison.results):
         results = comparison.of(method, case)
         answered = [r for r in results if r.answered]
         about: dict[str, object] = {

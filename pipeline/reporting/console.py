@@ -108,13 +108,12 @@ def _show_bar(name: str, total: int | None) -> Iterator[tuple[ProgressBar, TaskI
     from rich import progress
 
     console = _open_console(True)
-    time = progress.TimeRemainingColumn(elapsed_when_finished=True) if total else progress.TimeElapsedColumn()
     bar = progress.Progress(
         progress.TextColumn("{task.description}"),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         progress.TextColumn("{task.fields[words]}"),
-        time,
+        progress.TimeRemainingColumn(elapsed_when_finished=True) if total else progress.TimeElapsedColumn(),
         console=console,
         transient=True,
         disable=not console.is_terminal,

@@ -34,9 +34,11 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
     header = ["bearing and unknown", *(f"{plan} runs" for plan in plans)]
     header += [f"{plan}, simulated" for plan in plans] if simulated else []
     shown = [[_write_share(source[key]) for source in sources] for key in sources[0]]
-    rows = [[key, *row] for key, row in zip(sources[0], shown, strict=True)]
-    title = f"{name}: standard deviation of least squares at {noise}, % of the coefficient"
-    table(title, header, rows)
+    table(
+        f"{name}: standard deviation of least squares at {noise}, % of the coefficient",
+        header,
+        [[key, *row] for key, row in zip(sources[0], shown, strict=True)],
+    )
     say(f"{name}: the best {len(runs)} runs are {', '.join(runs)}")
     if summary["gain"] is None:
         say("the configured runs leave an unknown free; these do not")
@@ -62,9 +64,11 @@ def print_reached(
     rpm: Sequence[float],
 ) -> None:
     """The runs and speeds, the deviation of each coefficient with them, and what would help where it is too large."""
-    rows = [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()]
-    title = f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)"
-    table(title, ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"], rows)
+    table(
+        f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)",
+        ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"],
+        [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()],
+    )
     acting = "; ".join(
         f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
         for run in chosen
@@ -118,8 +122,11 @@ def print_states(
     names = {plan: "; ".join(name_state(states[t]) for t in plan.states) for plan in [*plans, best]}
     where, runs = names[best], f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
     rows = [[f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", f"{100 * plan.worst:.2g}"] for plan in plans]
-    title = f"{name}: the number that is known least, % (one standard deviation, at {noise})"
-    table(title, ["states", "which", "runs", "worst, %"], rows)
+    table(
+        f"{name}: the number that is known least, % (one standard deviation, at {noise})",
+        ["states", "which", "runs", "worst, %"],
+        rows,
+    )
     columns = (candidates.nothing.deviation, candidates.with_runs(best.states, best.runs).deviation, candidates.wanted)
     rows = [
         [
@@ -130,8 +137,11 @@ def print_states(
         ]
         for parameter, before, after, wanted in zip(candidates.nothing.parameters, *columns, strict=True)
     ]
-    header = ["number", "before, %", "with this plan, %", f"at most {100 * accuracy:g}"]
-    table(f"{name}: numbers of the bearing laws with {runs} at {where}", header, rows)
+    table(
+        f"{name}: numbers of the bearing laws with {runs} at {where}",
+        ["number", "before, %", "with this plan, %", f"at most {100 * accuracy:g}"],
+        rows,
+    )
     say(
         f"{name}: measure {runs} at {where}: every number asked for is known to {100 * accuracy:g} % or better"
         if best.worst <= accuracy
@@ -166,9 +176,9 @@ def format_runs(config: Config, chosen: Runs, speeds: SpeedsConfig) -> str:
             if alike := [_format_source(excitation) for excitation in acting if excitation.kind == kind]:
                 run[key] = alike
         runs.append(run)
-    content = {"speeds": speeds.model_dump(), "runs": runs}
-    head = f"# Chosen by: python -m pipeline stage=design {config.chosen}\n"
-    return head + yaml.safe_dump(content, sort_keys=False)
+    return f"# Chosen by: python -m pipeline stage=design {config.chosen}\n" + yaml.safe_dump(
+        {"speeds": speeds.model_dump(), "runs": runs}, sort_keys=False
+    )
 
 
 def _format_source(excitation: Excitation) -> dict[str, object]:

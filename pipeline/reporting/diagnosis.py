@@ -34,7 +34,7 @@ from pipeline.reporting.figure import (
     Panel,
 )
 from pipeline.reporting.fit_tables import choose_unit
-from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number, write_percent
 
@@ -56,8 +56,11 @@ def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, object]:
             "least_determined": report.free_combination(),
         }
         for node in report.nodes:
-            deviations = {name: finite(100 * np.median(v)) for name, v in diagnosis.relative(node).items()}
-            result[str(node)] = shared | {"median_deviation_percent": deviations}
+            result[str(node)] = shared | {
+                "median_deviation_percent": {
+                    name: finite(100 * np.median(v)) for name, v in diagnosis.relative(node).items()
+                }
+            }
     return result
 
 
@@ -98,13 +101,15 @@ def print_determined(name: str, expected: Deviations, judged: Sequence[Determine
     nodes = expected.table.nodes
     cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
     rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in dict.fromkeys(name for _, name in cells)]
-    header = ["coefficient", *(f"bearing at node {node}" for node in nodes)]
-    table(f"{name}: each coefficient at {noise}, {expected.of} (medians)", header, rows)
+    table(
+        f"{name}: each coefficient at {noise}, {expected.of} (medians)",
+        ["coefficient", *(f"bearing at node {node}" for node in nodes)],
+        rows,
+    )
 
 
 def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
     """Rank, condition and the worst coefficient of each bearing; ``noise`` in words."""
-    header = ["bearing", "rank", "orbits", "condition (median)", "worst", "worst coefficient", "determined least"]
     rows = []
     for report in diagnosis.reports:
         coefficient, deviation = diagnosis.worst(report)
@@ -120,7 +125,11 @@ def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
                 report.free_combination(),
             ]
         )
-    table(f"{name}: what the data determine at each speed, at {noise} (medians)", header, rows)
+    table(
+        f"{name}: what the data determine at each speed, at {noise} (medians)",
+        ["bearing", "rank", "orbits", "condition (median)", "worst", "worst coefficient", "determined least"],
+        rows,
+    )
 
 
 def describe_combinations(combinations: Combinations) -> str:
@@ -205,11 +214,16 @@ def draw_diagnosis(
             )
         ]
         known = " without noise" if report.verdict is not Solvability.NOT_IDENTIFIABLE else ""
-        axes = [
-            Axes([*shades, *curves], said, scale="log", y_range=reach),
-            Axes(below, "condition number (-)", scale="log"),
-        ]
-        panels.append(Panel(f"{report.where}:\n{report.verdict.value}{known}", RPM, axes))
+        panels.append(
+            Panel(
+                f"{report.where}:\n{report.verdict.value}{known}",
+                RPM,
+                [
+                    Axes([*shades, *curves], said, scale="log", y_range=reach),
+                    Axes(below, "condition number (-)", scale="log"),
+                ],
+            )
+        )
     return write_figure(path, Figure("diagnosis", "", panels, columns=len(reports)))
 
 
@@ -238,12 +252,14 @@ def name_tolerance(kind: str, tolerance: float) -> str:
 
 def print_budget(name: str, coefficients: Sequence[str], percent: Mapping[str, np.ndarray]) -> None:
     """What each tolerance (by its name) does to each coefficient, such as "kxx node 1": down, tolerances across."""
-    rows = [
-        [coefficient, *(write_number(float(values[a]), digits=2) for values in percent.values())]
-        for a, coefficient in enumerate(coefficients)
-    ]
-    title = f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)"
-    table(title, ["coefficient", *percent], rows)
+    table(
+        f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)",
+        ["coefficient", *percent],
+        [
+            [coefficient, *(write_number(float(values[a]), digits=2) for values in percent.values())]
+            for a, coefficient in enumerate(coefficients)
+        ],
+    )
 
 
 def draw_budget(path: Path, coefficients: Sequence[str], percent: Mapping[str, np.ndarray]) -> Path:
@@ -255,8 +271,14 @@ def draw_budget(path: Path, coefficients: Sequence[str], percent: Mapping[str, n
     for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
         texts = [write_number(float(value), digits=2) for value in values[chosen]]
         numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
-    heat = HeatMap(np.arange(values.shape[1]), np.arange(values.shape[0]), shade, "", "Blues", (-1.0, 2.0))
-    title = "change of the coefficient by the tolerance in brackets (%, median over speed)"
-    axes = Axes(numbers, "", y_names=list(percent))
-    panel = Panel(title, "", [axes], heat=heat, x_names=coefficients, wide=True)
-    return write_figure(path, Figure("budget", "", [panel], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            "change of the coefficient by the tolerance in brackets (%, median over speed)",
+            "",
+            [Axes(numbers, "", y_names=list(percent))],
+            heat=HeatMap(np.arange(values.shape[1]), np.arange(values.shape[0]), shade, "", "Blues", (-1.0, 2.0)),
+            x_names=coefficients,
+            wide=True,
+        ),
+    )

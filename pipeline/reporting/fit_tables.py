@@ -47,12 +47,19 @@ def make_error_table(
             if shown.compared and error is None:
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
-            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
             row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
             row |= {"modelled": shown.modelled[b, :, c].mean(), "identified": answer.values[b, :, c].mean()}
             row |= asdict(error) if error else {}
             row |= {"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}
-            rows.append(row | {"median_std_percent": float(100 * share), "verdict": verdicts.get((node, name))})
+            rows.append(
+                row
+                | {
+                    "median_std_percent": float(
+                        100 * np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+                    ),
+                    "verdict": verdicts.get((node, name)),
+                }
+            )
     return pd.DataFrame(rows).dropna(axis=1, how="all")
 
 
@@ -175,9 +182,17 @@ def list_parameters(
     columns = (fitted[key] for key in ("kind", "prior_std", "value", "std"))
     for name, kind, prior, value, deviation in zip(names, *columns, strict=True):
         unit, factor = choose_unit(str(kind))
-        remark = "" if deviation < told * prior else "as stated: the data do not tell"
         stated, share = f"0 +- {write_number(factor * prior, digits=3)}", write_number(value / prior, digits=2)
-        rows.append([name, unit, stated, write_number(factor * value, factor * deviation), share, remark])
+        rows.append(
+            [
+                name,
+                unit,
+                stated,
+                write_number(factor * value, factor * deviation),
+                share,
+                "" if deviation < told * prior else "as stated: the data do not tell",
+            ]
+        )
     return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)
 
 
@@ -243,18 +258,21 @@ def print_numbers(name: str, numbers: Sequence[EngineersNumber]) -> None:
 
 def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
     """A row a number."""
-    rows = [
+    return Table(
+        caption,
+        ["number", "found", "unit", "+- %", "guess", ""],
         [
-            number.label,
-            write_number(number.value, number.deviation),
-            number.unit,
-            write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
-            write_number(number.guess),
-            "" if number.determined else "the data do not tell it",
-        ]
-        for number in numbers
-    ]
-    return Table(caption, ["number", "found", "unit", "+- %", "guess", ""], rows)
+            [
+                number.label,
+                write_number(number.value, number.deviation),
+                number.unit,
+                write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
+                write_number(number.guess),
+                "" if number.determined else "the data do not tell it",
+            ]
+            for number in numbers
+        ],
+    )
 
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:

@@ -38,20 +38,20 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
     data, recorded = measured.dataset, measured.recorded
     runs = {name: _summarize_run(measured, i) for i, name in enumerate(recorded.runs)}
     columns = {name: [float(v.min()), float(v.max())] for name, v in list_columns(data.operating).items()}
-    summary = {
-        **_summarize(recordings, data, recorded.speeds),
-        "baseline": recordings.baseline,
-        **({"operating": columns} if columns else {}),
-        "runs": runs,
-        "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
-        "notes": list(notes),
-    }
     rows = []
     for name, run_summary in runs.items():
         acting_on = [f"{e.kind} at node {e.node}" for e in recorded.excitations if e.run == name]
         source, speeds, first, last, largest = run_summary.values()
-        text = ", ".join(acting_on) or "nothing (baseline)"
-        rows.append([name, source, str(speeds), f"{first:g} to {last:g}", f"{largest:.3g}", text])
+        rows.append(
+            [
+                name,
+                source,
+                str(speeds),
+                f"{first:g} to {last:g}",
+                f"{largest:.3g}",
+                ", ".join(acting_on) or "nothing (baseline)",
+            ]
+        )
     places = {name: (probe.node, float(np.degrees(probe.angle))) for name, probe in recordings.probes.items()}
 
     def draw(figure: Callable[[str], Path]) -> list[Path]:
@@ -63,7 +63,14 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
     rpm = to_rpm(recorded.speeds)
     return Ingested(
         data,
-        summary,
+        {
+            **_summarize(recordings, data, recorded.speeds),
+            "baseline": recordings.baseline,
+            **({"operating": columns} if columns else {}),
+            "runs": runs,
+            "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
+            "notes": list(notes),
+        },
         draw,
         ["run", "file", "speeds", "rpm", "largest, um", "excited by"],
         rows,

@@ -44,6 +44,11 @@ def write_figure(path: Path, figure: Figure, dots_an_inch: int = 160) -> Path:
         return write_beside(path, lambda beside: drawing.savefig(beside, dpi=dots_an_inch))
 
 
+def write_panel(path: Path, panel: Panel) -> Path:
+    """Write a PNG of one panel. Raises StorageError."""
+    return write_figure(path, Figure("", "", [panel], columns=1))
+
+
 def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int) -> tuple[Any, float]:
     """The picture of panels, and its height in inches."""
     from matplotlib import rc_context
@@ -171,8 +176,11 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
         keys = panel.list_keys()
-        columns = 2 if max(len(key.label) for key in keys) < 25 else 1
-        drawn[0].legend(handles=[_draw_key(key) for key in keys], fontsize=6.5, ncols=columns)
+        drawn[0].legend(
+            handles=[_draw_key(key) for key in keys],
+            fontsize=6.5,
+            ncols=2 if max(len(key.label) for key in keys) < 25 else 1,
+        )
     return drawn
 
 
@@ -190,8 +198,15 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
     for at, text in axes.rules:
         ax.axvline(at, color=GREY, lw=0.8, ls=":")
-        look = {"xytext": (3, -8), "textcoords": "offset points", "color": GREY, "fontsize": 6.5}
-        ax.annotate(text, (at, 1), xycoords=("data", "axes fraction"), **look)
+        ax.annotate(
+            text,
+            (at, 1),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, -8),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=6.5,
+        )
     if ax.get_yscale() == "linear" and np.abs(ax.get_ylim()).max() >= 1e5:
         ax.yaxis.set_major_formatter(_write_tick)
     ax.set_ylabel(axes.y_title, labelpad=2)
@@ -199,8 +214,11 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
         ax.set_yticks(range(len(axes.y_names)), axes.y_names)
         ax.set_ylim(len(axes.y_names) - 0.5, -0.5)
     if panel.x_names:
-        turned = {"rotation": 60, "ha": "right", "rotation_mode": "anchor"} if _is_turned(panel) else {}
-        ax.set_xticks(range(len(panel.x_names)), panel.x_names, **turned)
+        ax.set_xticks(
+            range(len(panel.x_names)),
+            panel.x_names,
+            **{"rotation": 60, "ha": "right", "rotation_mode": "anchor"} if _is_turned(panel) else {},
+        )
         ax.set_xlim(-0.5, len(panel.x_names) - 0.5)
     if len(axes.y_range):
         ax.set_ylim(*axes.y_range)
@@ -252,8 +270,16 @@ def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
 
 
 def _draw_heat(drawing: Any, ax: Any, heat: HeatMap) -> None:
-    look = {"cmap": heat.colours, "vmin": heat.reach[0], "vmax": heat.reach[1], "shading": "nearest"}
-    drawn = ax.pcolormesh(heat.x, heat.y, heat.z, rasterized=True, **look)
+    drawn = ax.pcolormesh(
+        heat.x,
+        heat.y,
+        heat.z,
+        rasterized=True,
+        cmap=heat.colours,
+        vmin=heat.reach[0],
+        vmax=heat.reach[1],
+        shading="nearest",
+    )
     ax.grid(False)
     if heat.title:
         drawing.colorbar(drawn, ax=ax, pad=0.02).set_label(heat.title, color=GREY)

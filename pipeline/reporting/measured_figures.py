@@ -29,7 +29,7 @@ from pipeline.reporting.figure import (
     Figure,
     Panel,
 )
-from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
@@ -89,8 +89,13 @@ def draw_bode_panels(speeds: np.ndarray, probes: Mapping[str, np.ndarray], trace
         seen = [(rpm[points], vectors[points, run], look | {"marker": marker}) for run, points, look in traces]
         above = [Curve(x, np.abs(v), **look) for x, v, look in seen]
         below = [Curve(x, find_lag(v), **look) for x, v, look in seen]
-        axes = [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, "phase lag (deg)", quantity="lag")]
-        panels.append(Panel(title, RPM, axes))
+        panels.append(
+            Panel(
+                title,
+                RPM,
+                [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, "phase lag (deg)", quantity="lag")],
+            )
+        )
     return panels
 
 
@@ -127,8 +132,14 @@ def draw_orbit_panels(
             reach = float(np.abs(places[s][:, shown]).max(initial=0.0))
             for run in shown:
                 curves += _draw_orbit(places[s, :, run], looks[run], reach)
-            axes = Axes(curves, "y (µm)", quantity="amplitude")
-            panels.append(Panel(f"node {node}, {name_point(dataset, s)}", "x (µm)", [axes], equal=True))
+            panels.append(
+                Panel(
+                    f"node {node}, {name_point(dataset, s)}",
+                    "x (µm)",
+                    [Axes(curves, "y (µm)", quantity="amplitude")],
+                    equal=True,
+                )
+            )
     return panels
 
 
@@ -200,6 +211,12 @@ def draw_run_up(path: Path, run_up: RunUp, fit: ModalFit, steady: np.ndarray, pr
         above.append(Curve(rpm, MICROMETRES * np.abs(vectors), *look))
         # Without jumps, and between -180 and 180 at the first row.
         below.append(Curve(rpm, np.degrees(np.unwrap(-np.angle(vectors))), *look))
-    axes = [Axes(above, "amplitude (µm, zero to peak)"), Axes(below, "phase lag (deg)")]
-    panel = Panel(f"{probe}, {write_number(run_up.rate / RAD_S_PER_RPM)} rpm/s", RPM, axes, wide=True)
-    return write_figure(path, Figure("run-up", "", [panel], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            f"{probe}, {write_number(run_up.rate / RAD_S_PER_RPM)} rpm/s",
+            RPM,
+            [Axes(above, "amplitude (µm, zero to peak)"), Axes(below, "phase lag (deg)")],
+            wide=True,
+        ),
+    )

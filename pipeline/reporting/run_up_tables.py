@@ -81,8 +81,12 @@ def compare_identified(
     """
     if answer.uncertainty is None:
         return {}
-    speeds = run_up["natural_frequency"]["rpm"] * np.linspace(*around, 61) * RAD_S_PER_RPM
-    expected = expect_criticals(answer.measurement, answer.model, answer.uncertainty, speeds)
+    expected = expect_criticals(
+        answer.measurement,
+        answer.model,
+        answer.uncertainty,
+        run_up["natural_frequency"]["rpm"] * np.linspace(*around, 61) * RAD_S_PER_RPM,
+    )
     if not expected:
         return {}
     first, (deviation, _) = expected[0]
@@ -114,8 +118,11 @@ def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor
     if decay := analysis.decay:
         rows.append(_row("free decay behind the peak", *read_mode(decay, 0), f"{100 * decay.misfit:.3g}"))
     rows.append(_row("first natural frequency", analysis.frequency, analysis.damping, ""))
-    title = f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'"
-    table(title, ["reading", "rpm", "+- (95 %)", "damping ratio", "+- (95 %)", "left over, %"], rows)
+    table(
+        f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'",
+        ["reading", "rpm", "+- (95 %)", "damping ratio", "+- (95 %)", "left over, %"],
+        rows,
+    )
     say(
         f"{name}: rate {analysis.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {analysis.sense}; "
         f"{'two modes' if analysis.gain > 0 else 'one mode'} (Schwarz's criterion {abs(analysis.gain):.3g} better)"

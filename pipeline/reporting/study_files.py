@@ -14,7 +14,7 @@ from pipeline.config.tuning import Dimension, HeldOutLoss, Value
 from pipeline.data.tables import write_table
 from pipeline.files import write_json, write_text
 from pipeline.reporting.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
-from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.trials_file import TRIALS, format_trials
@@ -115,9 +115,12 @@ def _draw_importance(importances: Mapping[str, float]) -> Panel:
     places = np.arange(len(ends))
     bars = [Curve(np.array([0.0, share]), np.full(2, place), width=12.0) for place, share in enumerate(ends)]
     texts = Curve(ends, places - 0.25, "", GREY, "none", texts=[f"{share:.0f} %" for share in ends])
-    title = "what sets the best trials of the study apart from the others"
-    axes = Axes([*bars, texts], "", y_names=list(shares))
-    return Panel(title, "importance (%); parameters below 0.5 % are left out", [axes], wide=True)
+    return Panel(
+        "what sets the best trials of the study apart from the others",
+        "importance (%); parameters below 0.5 % are left out",
+        [Axes([*bars, texts], "", y_names=list(shares))],
+        wide=True,
+    )
 
 
 def _list_names(trials: Sequence[TrialSummary], space: Mapping[str, Dimension], least: float) -> list[str]:
@@ -141,9 +144,16 @@ def _draw_slices(trials: Sequence[TrialSummary], space: Mapping[str, Dimension])
             Curve(np.array([place]), np.array([trial.loss]), dash="none", **_choose_mark(trial, best))
             for trial, place in zip(having, places, strict=True)
         ]
-        names = [choice.replace("_", "\n") for choice in choices]
         axes, log = Axes(curves, "held-out loss", scale="log", y_range=reach), getattr(space[name], "log", False)
-        panels.append(Panel("", name.replace("_", " "), [axes], x_names=names, log_x=log and not choices))
+        panels.append(
+            Panel(
+                "",
+                name.replace("_", " "),
+                [axes],
+                x_names=[choice.replace("_", "\n") for choice in choices],
+                log_x=log and not choices,
+            )
+        )
     return panels
 
 
@@ -179,8 +189,13 @@ def _draw_parallel(trials: Sequence[TrialSummary], space: Mapping[str, Dimension
         if trial.number == 0:
             look = {"colour": GREEN, "width": 3.0, "dash": "dash", "label": "the configured default"}
         curves.append(Curve(np.arange(len(names)), line, marker=".", full=True, **look))
-    axes = Axes([*curves, *captions], "place in the parameter's range (-)", y_range=(-0.08, 1.12))
-    return Panel("", "", [axes], x_names=[name.replace("_", "\n") for name in names], wide=True)
+    return Panel(
+        "",
+        "",
+        [Axes([*curves, *captions], "place in the parameter's range (-)", y_range=(-0.08, 1.12))],
+        x_names=[name.replace("_", "\n") for name in names],
+        wide=True,
+    )
 
 
 def _scale_values(values: Sequence[Value | None], dimension: Dimension) -> tuple[np.ndarray, dict[str, float]]:
@@ -205,8 +220,13 @@ def _draw_finalists(finalists: Sequence[Finalist]) -> Panel:
         aside, colour = x + np.linspace(-0.12, 0.12, len(losses)), BLUE if x else GREEN
         curves.append(Curve(aside, losses, "", colour, "none", "o", full=True))
         curves.append(Curve(ends, np.full(2, finalist.median), "median", GREY, width=2.6))
-    names = ["default" if f.trial == 0 else f"trial {f.trial}" for f in finalists]
-    return Panel("", "one dot a seed", [Axes(curves, _LOSS, scale="log")], x_names=names, wide=True)
+    return Panel(
+        "",
+        "one dot a seed",
+        [Axes(curves, _LOSS, scale="log")],
+        x_names=["default" if f.trial == 0 else f"trial {f.trial}" for f in finalists],
+        wide=True,
+    )
 
 
 def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
@@ -216,8 +236,7 @@ def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
         trials, low, high = 1 + np.arange(losses.shape[1]), losses.min(axis=0), losses.max(axis=0)
         curves.append(Curve(trials, (low + high) / 2, "", colour, "none", band=(high - low) / 2))
         curves.append(Curve(trials, np.median(losses, axis=0), name, colour, width=2.4))
-    panel = Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True)
-    return write_figure(path, Figure("samplers", "", [panel], columns=1))
+    return write_panel(path, Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True))
 
 
 _JOBS = {
@@ -238,9 +257,21 @@ def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
     panels: list[Panel] = []
     for name in names:
         (label, colour), drawn = _JOBS[name], np.isfinite(values[name])
-        dots = Curve(values[name][drawn], np.flatnonzero(drawn), "", colour, "none", "o", full=True)
         beside = [""] * len(jobs) if panels else list(jobs)
-        panels.append(Panel("", label, [Axes([dots], "", y_names=beside)], log_x=bool(drawn.any())))
+        panels.append(
+            Panel(
+                "",
+                label,
+                [
+                    Axes(
+                        [Curve(values[name][drawn], np.flatnonzero(drawn), "", colour, "none", "o", full=True)],
+                        "",
+                        y_names=beside,
+                    )
+                ],
+                log_x=bool(drawn.any()),
+            )
+        )
     return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))
 
 

@@ -88,27 +88,32 @@ def tabulate_trials(report: StudyReport) -> pd.DataFrame:
     fields = {"number": "trial", "state": "state", "loss": "held_out_loss", "seconds": "training_seconds"}
     fields |= {name: name for name in ("epochs", "outcome", "reason")}
     trials = pd.DataFrame([vars(trial) for trial in report.trials])[list(fields)].rename(columns=fields)
-    parameters = pd.DataFrame([dict(trial.parameters) for trial in report.trials])
-    return trials.astype({"epochs": "Int64"}).join(parameters.reindex(columns=list(report.config.tuning.space)))
+    return trials.astype({"epochs": "Int64"}).join(
+        pd.DataFrame([dict(trial.parameters) for trial in report.trials]).reindex(
+            columns=list(report.config.tuning.space)
+        )
+    )
 
 
 def tabulate_finalists(report: StudyReport) -> pd.DataFrame:
     """Make one row for each finalist and seed."""
     import pandas as pd
 
-    frames = [
-        pd.DataFrame(
-            {
-                "trial": f.trial,
-                "seed": report.config.tuning.seeds,
-                "held_out_loss": f.losses,
-                "outcome": [outcome.label for outcome in f.outcomes],
-            }
-            | {f"{name}_mean_error_percent": error for name, error in report.errors.get(f.trial, {}).items()}
-        )
-        for f in report.finalists
-    ]
-    return pd.concat(frames, ignore_index=True)
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "trial": f.trial,
+                    "seed": report.config.tuning.seeds,
+                    "held_out_loss": f.losses,
+                    "outcome": [outcome.label for outcome in f.outcomes],
+                }
+                | {f"{name}_mean_error_percent": error for name, error in report.errors.get(f.trial, {}).items()}
+            )
+            for f in report.finalists
+        ],
+        ignore_index=True,
+    )
 
 
 # --- summary -----------------------------------------------------------------------------------------
@@ -208,7 +213,7 @@ def write_report(report: StudyReport) -> str:
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
         *(f"![{title}](figures/{name}.png)" for name, title in _FIGURES.items() if drawn.get(name, True)),
     ]
-    return "\n\n".join(paragraph for paragraph in parts if paragraph) + "\n"
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 _FIGURES = {

@@ -96,19 +96,23 @@ class Results:
     def nearest(self) -> tuple[str, Results]:
         """The measured state that is nearest to the prediction's, and the results at its points alone."""
         label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.twin.operating)
-        shown = replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points])
-        at = self.coefficients.at(points)
-        return label, replace(self, dataset=self.dataset.at(points), coefficients=at, shown=shown)
+        return label, replace(
+            self,
+            dataset=self.dataset.at(points),
+            coefficients=self.coefficients.at(points),
+            shown=replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points]),
+        )
 
 
 def write_summary(config: Config, results: Results, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
-    head = _wrap(f"{config.name}: {config.description}", "", 1)
     modes: Mapping[str, Any] = summarize_modes(
         results.twin.behaviour["identified"], config.machine.prediction.speed_rpm
     )
     rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
-    parts = [
+    lines = [
+        *_wrap(f"{config.name}: {config.description}", "", 1),
+        "",
         *_wrap_entry("machine", _describe_machine(config, results)),
         *_wrap_entry("data", _describe_data(config, results)),
         "",
@@ -121,10 +125,10 @@ def write_summary(config: Config, results: Results, picture: Path) -> str:
         *_wrap_entry("critical", rejected + _list_critical_speeds(results, modes["critical_speeds"])),
         *_wrap_entry("stability", rejected + _describe_stability(modes["stability"])),
         *_wrap_entry("prediction", rejected + _describe_prediction(config, results)),
-        *[line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")],
+        *(line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
-    return "\n".join([*head, "", *parts]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def _wrap_entry(name: str, text: str) -> list[str]:
@@ -314,9 +318,13 @@ def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
     # Noise of an axis that starts at its curves would look like a finding.
     reach = (0.0, 1.15 * float(values.max())) if positive and not several else ()
     scaled = "log" if positive and several else "linear"
-    axes = Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)
     known = "" if some else " (known, not identified)"
-    return Panel(f"{KINDS[letter]} of the bearings{known}{beside}", RPM, [axes], legend=True)
+    return Panel(
+        f"{KINDS[letter]} of the bearings{known}{beside}",
+        RPM,
+        [Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)],
+        legend=True,
+    )
 
 
 def _draw_run(results: Results, beside: str) -> Panel:
@@ -326,13 +334,23 @@ def _draw_run(results: Results, beside: str) -> Panel:
     rpm = to_rpm(results.dataset.speeds)[at]
     measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
     label = "measured (modelled data)" if results.coefficients.compared else "measured"
-    curves = [
-        mark(rpm, measured, label, BLUE, count=60),
-        Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
-    ]
     fitted = "not fitted" if shown.held_out else "fitted"
     title = f"run {shown.name} ({fitted}), {name_channel(results.dataset.channels[shown.probe])}{beside}"
-    return Panel(title, RPM, [Axes(curves, _AMPLITUDE, scale="log")], legend=True)
+    return Panel(
+        title,
+        RPM,
+        [
+            Axes(
+                [
+                    mark(rpm, measured, label, BLUE, count=60),
+                    Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
+                ],
+                _AMPLITUDE,
+                scale="log",
+            )
+        ],
+        legend=True,
+    )
 
 
 def _draw_response(results: Results) -> Panel:
@@ -355,5 +373,6 @@ def _draw_response(results: Results) -> Panel:
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
     title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"
-    axes = Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])
-    return Panel(title, RPM, [axes], legend=True)
+    return Panel(
+        title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
+    )

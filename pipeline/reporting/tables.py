@@ -30,7 +30,7 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Mark:
-    """A cell with a verdict: ``good``, ``with care`` or ``no`` (its look), and the text that says it."""
+    """Text with a look: a cell is ``good``, ``with care`` or ``no``, a paragraph a ``warning`` (or none)."""
 
     kind: str
     text: str
@@ -53,34 +53,19 @@ class Table(NamedTuple):
     def without_blank(self) -> Table:
         """The same without the columns in which nothing stands; all of them where there is no row."""
         keep = [c for c in range(len(self.header)) if not self.rows or any(str(row[c]) for row in self.rows)]
-        rows = [[row[c] for c in keep] for row in self.rows]
-        return Table(self.caption, [self.header[c] for c in keep], rows)
+        return Table(self.caption, [self.header[c] for c in keep], [[row[c] for c in keep] for row in self.rows])
 
 
 def format_markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
     """Write a table as Markdown, for a file."""
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)]) + "\n"
+    lines = ["| " + " | ".join(map(str, cells)) + " |\n" for cells in (header, *rows)]
+    return "".join([lines[0], "|" + "---|" * len(header) + "\n", *lines[1:]])
 
 
-@dataclass(frozen=True)
-class Paragraph:
-    """One or more sentences; a ``warning`` stands out."""
-
-    text: str
-    warning: bool = False
-
-
-Block: TypeAlias = "Paragraph | Table | Figure"
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the report; ``anchor`` is its name in links."""
-
-    anchor: str
-    title: str
-    blocks: tuple[Block, ...]
+Block: TypeAlias = "str | Mark | Table | Figure"
+"""A paragraph is one or more sentences."""
+Section: TypeAlias = tuple[str, str, Sequence[Block]]
+"""A part of the report: its name in links, its title, and what stands in it."""
 
 
 def typeset(text: object) -> str:

@@ -13,7 +13,7 @@ from pipeline.coefficients import unit
 from pipeline.data.tables import read_table
 from pipeline.reporting.console import say, table
 from pipeline.reporting.figure import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
-from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ def draw_history(path: Path, history: Path, label: str, large_ratio: float = 2.0
         curves.append(Curve(step, table["held_out_loss"], "held-out speeds", ORANGE, "dash"))
     rules = [(step[phase == name][0], str(name).replace("_", "-")) for name in dict.fromkeys(phase) if name != "start"]
     linear = loss.max() <= large_ratio * loss.min()  # false of a loss that is no number, which has a large range
-    axes = Axes(curves, label, scale="linear" if linear else "log", rules=rules)
-    return write_figure(path, Figure("training", "", [Panel("", "training step", [axes])], columns=1))
+    return write_panel(
+        path, Panel("", "training step", [Axes(curves, label, scale="linear" if linear else "log", rules=rules)])
+    )
 
 
 def draw_robustness(
@@ -65,8 +66,13 @@ def draw_robustness(
             if modelled is not None:
                 true = np.full(2, modelled.coefficient(name)[m, 0])
                 curves.append(Curve(steps[[0, -1]], true, "modelled", ORANGE, "dash", width=2.0))
-            title = f"({ascii_lowercase[len(panels)]}) {name}, {where}"
-            panels.append(Panel(title, "training step", [Axes(curves, f"{name} ({unit(name)})", scale="log")]))
+            panels.append(
+                Panel(
+                    f"({ascii_lowercase[len(panels)]}) {name}, {where}",
+                    "training step",
+                    [Axes(curves, f"{name} ({unit(name)})", scale="log")],
+                )
+            )
     return write_figure(path, Figure("robustness", "", panels, columns=len(model.unknowns)))
 
 
@@ -78,9 +84,15 @@ def _draw_final_errors(path: Path, rows: pd.DataFrame, over: str) -> Path:
     for i, ((node, name), group) in enumerate(rows.groupby(["bearing_node", "coefficient"], sort=False)):
         x, y, look = group[over].to_numpy(), group[quantity].to_numpy(), LOOKS[i % len(LOOKS)]
         curves.append(Curve(x, y, f"node {node} {name}", look[0], "none", look[1], size=6, full=i < len(LOOKS)))
-    title = "seed" if over == "seed" else "initial guess of the stiffness (N/m)"
-    panel = Panel("", title, [Axes(curves, label, scale="log")], log_x=over == "initial_guess")
-    return write_figure(path, Figure("robustness", "", [panel], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            "",
+            "seed" if over == "seed" else "initial guess of the stiffness (N/m)",
+            [Axes(curves, label, scale="log")],
+            log_x=over == "initial_guess",
+        ),
+    )
 
 
 def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
@@ -90,23 +102,34 @@ def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
     errors = [group["median_error_percent"].to_numpy() for _, group in groups]
     aside = [i + generator.uniform(-0.25, 0.25, len(group)) for i, group in enumerate(errors)]
     medians = np.array([np.median(group) for group in errors])
+    dots = Curve(np.concatenate(aside), np.concatenate(errors), "data set", BLUE, "none", "o", size=3, alpha=0.5)
     inside = np.array([group["within_95_percent_interval"].mean() for _, group in groups])
     ends = np.array([-0.5, len(groups) - 0.5])
-    above = [
-        Curve(np.concatenate(aside), np.concatenate(errors), "data set", BLUE, "none", "o", size=3, alpha=0.5),
-        Curve(places, medians, "median", ORANGE, "none", "_", size=14),
-    ]
-    below = [
-        Curve(ends, np.full(2, 94.0), "", GREY, "none", band=np.full(2, 4.0)),
-        Curve(ends, np.full(2, 95.0), "", GREY, "dash", width=1.3),
-        Curve(places, inside, "", BLUE, "none", "s", size=6, full=True),
-    ]
-    axes = [
-        Axes(above, "median error over speed (%)", scale="log"),
-        Axes(below, "inside the nominal\n95 % interval (%)", y_range=(80, 100)),
-    ]
-    names = [f"{name}\nnode {node}" for (node, name), _ in groups]
-    return write_figure(path, Figure("robustness", "", [Panel("", "", axes, x_names=names, wide=True)], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            "",
+            "",
+            [
+                Axes(
+                    [dots, Curve(places, medians, "median", ORANGE, "none", "_", size=14)],
+                    "median error over speed (%)",
+                    scale="log",
+                ),
+                Axes(
+                    [
+                        Curve(ends, np.full(2, 94.0), "", GREY, "none", band=np.full(2, 4.0)),
+                        Curve(ends, np.full(2, 95.0), "", GREY, "dash", width=1.3),
+                        Curve(places, inside, "", BLUE, "none", "s", size=6, full=True),
+                    ],
+                    "inside the nominal\n95 % interval (%)",
+                    y_range=(80, 100),
+                ),
+            ],
+            x_names=[f"{name}\nnode {node}" for (node, name), _ in groups],
+            wide=True,
+        ),
+    )
 
 
 def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: float) -> None:
@@ -133,21 +156,29 @@ def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: floa
 
 def print_refits(name: str, summary: Mapping[str, Any]) -> None:
     """Error, bound and coverage of each coefficient over the data sets, and of the numbers of bearing laws."""
-    shown = [
+    table(
+        f"{name}: {summary['data_sets']} measurements of the machine, each identified by itself",
         [
-            f"node {node} {coefficient}",
-            f"{measures['median_error_percent']:.3g}",
-            f"{measures['worst_median_error_percent']:.3g}",
-            f"{measures['median_bound_percent']:.3g}",
-            f"{measures['rmse_over_bound']:.2f}",
-            f"{measures['within_95_percent_interval']:.1f}",
-        ]
-        for node, coefficients in summary["coefficients"].items()
-        for coefficient, measures in coefficients.items()
-    ]
-    errors = ["median error %, typical", "worst data set", "standard deviation by the bound, %", "error over bound"]
-    header = ["bearing and coefficient", *errors, "inside the 95 % interval, %"]
-    table(f"{name}: {summary['data_sets']} measurements of the machine, each identified by itself", header, shown)
+            "bearing and coefficient",
+            "median error %, typical",
+            "worst data set",
+            "standard deviation by the bound, %",
+            "error over bound",
+            "inside the 95 % interval, %",
+        ],
+        [
+            [
+                f"node {node} {coefficient}",
+                f"{measures['median_error_percent']:.3g}",
+                f"{measures['worst_median_error_percent']:.3g}",
+                f"{measures['median_bound_percent']:.3g}",
+                f"{measures['rmse_over_bound']:.2f}",
+                f"{measures['within_95_percent_interval']:.1f}",
+            ]
+            for node, coefficients in summary["coefficients"].items()
+            for coefficient, measures in coefficients.items()
+        ],
+    )
     say(
         f"all coefficients: median error {summary['median_error_percent']:.3g} %, "
         f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "

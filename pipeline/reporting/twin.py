@@ -27,7 +27,7 @@ from pipeline.reporting.figure import (
     Panel,
     mark,
 )
-from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, follow_modes, require_separation
 from pipeline.twin.prediction import PredictedVibration, sample_motion
@@ -56,8 +56,12 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
     if behaviour.deviations is not None:
         growth, decrement = behaviour.margin_deviations
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
-    critical = {f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))}
-    return {"critical_speeds": critical, "stability": stability}
+    return {
+        "critical_speeds": {
+            f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))
+        },
+        "stability": stability,
+    }
 
 
 def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
@@ -72,13 +76,14 @@ def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dic
         "separation_margin_percent": 100.0 * abs(rpm / running_rpm - 1.0),
         "separation_margin_required_percent": require_separation(factor, rpm > running_rpm),
     }
-    stated = {
+    if deviations is None:
+        return entry
+    return entry | {
         "rpm_std": speed_std / RAD_S_PER_RPM,
         "logarithmic_decrement_std": decrement_std,
         "amplification_factor_std": factor_std,
         "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
     }
-    return entry if deviations is None else entry | stated
 
 
 def list_deviations(behaviour: Behaviour) -> tuple[np.ndarray, np.ndarray]:
@@ -156,9 +161,11 @@ def print_twin(
         shown = [write_number(*known, 5) for known in zip(size[at].tolist(), known_to[at].tolist(), strict=True)]
         rows.append([name, *shown, show(summary[name]["stability"], "smallest_logarithmic_decrement")])
         criticals += [[name, *cells] for cells in list_critical(summary[name]["critical_speeds"])]
-    header = ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"]
-    title = f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)"
-    table(title, header, rows)
+    table(
+        f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)",
+        ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"],
+        rows,
+    )
     table(f"critical speeds{state}; separation is that from {rpm:g} rpm", ["system", *CRITICAL], criticals)
     if not criticals:
         say(f"critical speeds{state}: none in the range of speeds")
@@ -202,9 +209,15 @@ def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, 
         time, motion = sample_motion(predicted.displacement[at], predicted.speeds[at])
         for row, shift, colour in zip(rows, motion.T, (BLUE, ORANGE), strict=True):
             row.append(_draw(name, 1e3 * time, MICROMETRES * shift, colour))
-    axes = [Axes(row, f"{direction}-displacement (µm)") for direction, row in zip("xy", rows, strict=True)]
-    title = f"{_name_place(vibration, at, state)}, unbalance never seen in training"
-    return write_figure(path, Figure("time", "", [Panel(title, "time (ms)", axes, wide=True)], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            f"{_name_place(vibration, at, state)}, unbalance never seen in training",
+            "time (ms)",
+            [Axes(row, f"{direction}-displacement (µm)") for direction, row in zip("xy", rows, strict=True)],
+            wide=True,
+        ),
+    )
 
 
 def _name_place(vibration: Mapping[str, PredictedVibration], at: int, state: str) -> str:
@@ -219,9 +232,7 @@ def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int,
         x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)[1].T
         curves.append(_draw(name, x, y, BLUE))
     title, axes = f"orbit of {_name_place(vibration, at, state)}", Axes(curves, "y-displacement (µm)")
-    return write_figure(
-        path, Figure("orbit", "", [Panel(title, "x-displacement (µm)", [axes], equal=True, wide=True)], 1)
-    )
+    return write_panel(path, Panel(title, "x-displacement (µm)", [axes], equal=True, wide=True))
 
 
 def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:
@@ -239,8 +250,7 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
                 errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
         axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
         axes += [Axes(errors, "error (%)", scale="log")] * bool(errors)
-        title = ", ".join(filter(None, (f"{direction} of node {identified.node}", state)))
-        panels.append(Panel(title, RPM, axes))
+        panels.append(Panel(", ".join(filter(None, (f"{direction} of node {identified.node}", state))), RPM, axes))
     return write_figure(path, Figure("response", "", panels))
 
 
@@ -256,11 +266,13 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     decrements = [Curve(rpm, np.zeros(len(rpm)), "", GREY, "dash")]
     for name, machine in behaviour.items():
         modes, deviations, order = machine.modes, list_deviations(machine), follow_modes(machine.modes)
-        quantities = (
-            (modes.frequency / RAD_S_PER_HERTZ, 2 * deviations[0] / RAD_S_PER_HERTZ),
-            (modes.logarithmic_decrement, 2 * deviations[1]),
-        )
-        followed = [[np.take_along_axis(v, order, axis=1) for v in pair] for pair in quantities]
+        followed = [
+            [np.take_along_axis(v, order, axis=1) for v in pair]
+            for pair in (
+                (modes.frequency / RAD_S_PER_HERTZ, 2 * deviations[0] / RAD_S_PER_HERTZ),
+                (modes.logarithmic_decrement, 2 * deviations[1]),
+            )
+        ]
         seen = followed[0][0] <= top  # false for NaN
         for k in np.flatnonzero(seen.any(axis=0)):
             colour = LOOKS[k % len(LOOKS)][0]
@@ -270,8 +282,15 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_HERTZ
     if len(critical):
         frequencies.append(Curve(60.0 * critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8))
-    axes = [
-        Axes(frequencies, "damped natural\nfrequency (Hz)", y_range=(0.0, top)),
-        Axes(decrements, "logarithmic decrement\n(stable above 0)", scale="symlog"),
-    ]
-    return write_figure(path, Figure("campbell", "", [Panel(state, RPM, axes, wide=True)], columns=1))
+    return write_panel(
+        path,
+        Panel(
+            state,
+            RPM,
+            [
+                Axes(frequencies, "damped natural\nfrequency (Hz)", y_range=(0.0, top)),
+                Axes(decrements, "logarithmic decrement\n(stable above 0)", scale="symlog"),
+            ],
+            wide=True,
+        ),
+    )

@@ -15,22 +15,33 @@ def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
     """A row a coefficient."""
     every = judged["verdicts"]
     columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
-    bands = [entry["checks"].get("band", {}).get("percent") for entry in every]
     return columns | {
         "verdict": [entry["verdict"] for entry in every],
-        "band_percent": [np.nan if band is None else band for band in bands],
+        "band_percent": [np.nan if (band := _read_band(entry)) is None else band for entry in every],
         "reason": [" ".join(entry["reasons"]) for entry in every],
         "next": [entry["next"] or "" for entry in every],
     }
+
+
+def _read_band(entry: Mapping[str, Any]) -> float | None:
+    """Half of the 95 % band of a coefficient in percent, where it was checked."""
+    percent: float | None = entry["checks"].get("band", {}).get("percent")
+    return percent
 
 
 def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
     """Every coefficient, bearing and the whole, with reasons and the next step."""
     rows = []
     for entry in judged["verdicts"]:
-        band = entry["checks"].get("band", {}).get("percent")
-        shown = "" if band is None else f"{band:.2g}"
-        rows.append([f"node {entry['node']} {entry['coefficient']}", entry["verdict"], shown, entry["reasons"][0]])
+        band = _read_band(entry)
+        rows.append(
+            [
+                f"node {entry['node']} {entry['coefficient']}",
+                entry["verdict"],
+                "" if band is None else f"{band:.2g}",
+                entry["reasons"][0],
+            ]
+        )
     table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
     for entry in judged["bearings"]:
         say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")

@@ -19,7 +19,7 @@ from pipeline.reporting.measured_figures import find_lag
 from pipeline.reporting.report.page import write_page
 from pipeline.reporting.report.pdf import write_pdf
 from pipeline.reporting.report.twin import find_peak
-from pipeline.reporting.tables import Amplitude, Mark, Paragraph, Section, Table, typeset
+from pipeline.reporting.tables import Amplitude, Mark, Section, Table, typeset
 from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)
@@ -39,11 +39,8 @@ def _sections() -> list[Section]:
     table = Table(
         "rows", ["what", "size", "verdict"], [["a & b", Amplitude(3e-6, 1e-7), Mark("with care", "with care")]]
     )
-    return [
-        Section(
-            "one", "First </script> section", (Paragraph("Words < here.", True), table, Figure("f", "Caption.", panels))
-        )
-    ]
+    blocks = (Mark("warning", "Words < here."), table, Figure("f", "Caption.", panels))
+    return [("one", "First </script> section", blocks)]
 
 
 @pytest.fixture(scope="module")

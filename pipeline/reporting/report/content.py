@@ -24,7 +24,7 @@ from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
-from pipeline.reporting.tables import Paragraph
+from pipeline.reporting.tables import Mark
 from pipeline.twin.modes import WhirlModes
 from pipeline.twin.twin import Twin
 
@@ -138,8 +138,9 @@ class ReportContent:
     @cached_property
     def looks(self) -> dict[int, dict[str, Any]]:
         """Colour and dash of each run that is drawn, the same in every figure."""
-        names = [self.dataset.runs[run] for run in self.shown_runs]
-        return dict(zip(self.shown_runs, choose_looks(names), strict=True))
+        return dict(
+            zip(self.shown_runs, choose_looks([self.dataset.runs[run] for run in self.shown_runs]), strict=True)
+        )
 
     def traces(self, *runs: int) -> list[Trace]:
         """The points of each state that the ``runs`` (all that are drawn, without any) were measured at, with looks."""
@@ -151,10 +152,10 @@ class ReportContent:
         return None if taken is None or not taken.any() else taken[..., int(np.abs(taken).sum(axis=(0, 1)).argmax())]
 
 
-def list_reservations(content: ReportContent) -> list[Paragraph]:
+def list_reservations(content: ReportContent) -> list[Mark]:
     """The warning that stands beside all that follows from a rejected model."""
     reservation = content.files.get("verdicts", {}).get("machine", {}).get("reservation")
-    return [Paragraph(reservation, warning=True)] if reservation else []
+    return [Mark("warning", reservation)] if reservation else []
 
 
 def name_channel(channel: tuple[int, float]) -> str:
@@ -222,8 +223,7 @@ def describe_origin(
         origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
     if config.report.reference is not None:
         origin["reference"] = f"{config.report.reference}, sha256 {hash_file(Path(config.report.reference))}"
-    named = {name.removeprefix("version."): text for name, text in versions.items() if name.startswith("version.")}
-    origin |= named
+    origin |= {name.removeprefix("version."): text for name, text in versions.items() if name.startswith("version.")}
     if "git.revision" in versions:
         changed = " with changes" if versions.get("git.dirty") == "true" else ""
         origin["revision of the program"] = versions["git.revision"][:12] + changed

@@ -21,35 +21,39 @@ from pipeline.reporting.coefficient_figures import (
     draw_bearing,
     draw_state_panels,
     list_states,
+    space_evenly,
 )
 from pipeline.reporting.figure import GREEN, LOOKS, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent
-from pipeline.reporting.tables import Block, Paragraph, Section, Table
+from pipeline.reporting.tables import Block, Table
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
 
 _MOST_TABLES, _ROWS = 4, 5
 
 
-def describe_coefficients(content: ReportContent, fit: FitContent) -> Section:
+def describe_coefficients(content: ReportContent, fit: FitContent) -> list[Block]:
     """Figures over speed and a table."""
-    text = "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y."
-    if not fit.coefficients.stated:
-        text += " The loss of this fit states no deviations, so there are no bands: loss=response has them."
-    else:
-        text += (
-            " Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise,"
-            " what is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
-        )
-    if fit.coefficients.compared:
-        text += " The data were modelled, so that the true coefficients are known; the fit did not read them."
+    stated = (
+        "Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise, what "
+        "is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
+    )
+    bare = "The loss of this fit states no deviations, so there are no bands: loss=response has them."
+    text = (
+        "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y. "
+        + (stated if fit.coefficients.stated else bare)
+        + " The data were modelled, so that the true coefficients are known; the fit did not read them."
+        * fit.coefficients.compared
+    )
     states = _list_states(fit)
-    tabled = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, _MOST_TABLES).round().astype(int))]
-    shown: list[Block] = [_list_coefficients(*state) for state in tabled]
-    shown += [_draw_values(content, fit, states, letter) for letter in "kc"]
-    return Section("coefficients", "Stiffness and damping", (Paragraph(text), *shown, *_compare(content, fit)))
+    return [
+        text,
+        *(_list_coefficients(*states[i]) for i in space_evenly(len(states), _MOST_TABLES)),
+        *(_draw_values(content, fit, states, letter) for letter in "kc"),
+        *_compare(content, fit),
+    ]
 
 
 def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
@@ -99,7 +103,7 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
     """The identified coefficients of a state at a few speeds; constants once."""
     places = [(b, name, COEFFICIENTS.index(name)) for b, names in enumerate(shown.unknowns) for name in names]
     constant = all(np.ptp(shown.identified.values[b, :, c]) == 0 for b, _, c in places)
-    at = [0] if constant else np.unique(np.linspace(0, len(shown.rpm) - 1, _ROWS).round().astype(int)).tolist()
+    at = [0] if constant else space_evenly(len(shown.rpm), _ROWS)
     rows = []
     for b, name, c in places:
         scale, unit = UNITS[name[0]]
@@ -131,10 +135,15 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             cells = [write_number(median, digits=3) for median in medians]
             cells[1] = cells[1] if shown.stated else ""
             rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
-    header = ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"]
     name = content.origin.get("reference", "the reference")
     at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
-    return [Table(f"Identified{at} less reference ({name})", header, rows).without_blank()]
+    return [
+        Table(
+            f"Identified{at} less reference ({name})",
+            ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"],
+            rows,
+        ).without_blank()
+    ]
 
 
 def _take_median(values: np.ndarray) -> float:
@@ -143,32 +152,33 @@ def _take_median(values: np.ndarray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def describe_fit(content: ReportContent, fit: FitContent) -> Section:
+def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
     """Readings and model of every probe over speed with their residuals."""
-    fitted = [r for r in content.shown_runs if not content.held_out(r)]
-    blocks = (
-        Paragraph(_write_quality(content)),
-        _list_probes(content, fit),
-        _draw_residuals(content, fit, fitted, "fit"),
-    )
-    return Section("fit", "Fit and residuals", (*blocks, *_list_parameters(content)))
+    figure = _draw_residuals(content, fit, [r for r in content.shown_runs if not content.held_out(r)], "fit")
+    return [_write_quality(content), _list_probes(content, fit), figure, *_list_parameters(content)]
 
 
-def describe_held_out(content: ReportContent, fit: FitContent) -> Section:
+def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     """Runs and speeds that the fit did not see."""
     rows = []
     for what, entry in content.files.get("metrics", {}).get("held_out", {}).items():
         errors = [write_number(entry[f"{whose}_error_percent"], digits=3) for whose in ("model", "rival")]
         rows.append([what, errors[0], entry["rival"], errors[1]])
     held = [r for r in content.shown_runs if content.held_out(r)]
-    text = "The fit did not see these readings. Beside the model stands what needs no bearing model at all."
     if not rows and not held:
-        text = "No run and no speed was held out (training.holdout_runs, training.holdout_every)."
-    header = ["held out", "model, error %", "without a model", "its error, %"]
-    table = Table("Root mean square of the error over that of the readings", header, rows)
-    blocks: list[Block] = [Paragraph(text), *[table] * bool(rows)]
-    blocks += [_draw_residuals(content, fit, held, "held-out")] if held else []
-    return Section("held-out", "Held-out runs and speeds", tuple(blocks))
+        return ["No run and no speed was held out (training.holdout_runs, training.holdout_every)."]
+    return [
+        "The fit did not see these readings. Beside the model stands what needs no bearing model at all.",
+        *[
+            Table(
+                "Root mean square of the error over that of the readings",
+                ["held out", "model, error %", "without a model", "its error, %"],
+                rows,
+            )
+        ]
+        * bool(rows),
+        *([_draw_residuals(content, fit, held, "held-out")] if held else []),
+    ]
 
 
 def _write_quality(content: ReportContent) -> str:
@@ -206,8 +216,11 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
             squared = np.abs(rest / probe.read_noise(fit.noise[..., fitted]))[mask] ** 2
             over = write_number(float(np.sqrt(squared.mean())), digits=3)
         rows.append([probe.name, write_number(float(percent), digits=3), over])
-    header = ["probe", "residual, % of the readings", "residual over its noise"]
-    return Table("Fitted runs, root mean square over speeds and runs", header, rows).without_blank()
+    return Table(
+        "Fitted runs, root mean square over speeds and runs",
+        ["probe", "residual, % of the readings", "residual over its noise"],
+        rows,
+    ).without_blank()
 
 
 def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], name: str) -> Figure:
@@ -225,8 +238,7 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
             above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
             below.append(Curve(rpm, size[points], "", **look))
         unit = "residual / noise" if stated else "residual (%)"
-        axes = [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, unit)]
-        panels.append(Panel(probe.name, RPM, axes))
+        panels.append(Panel(probe.name, RPM, [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, unit)]))
     caption = "Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual "
     caption += "over the root mean square of its noise." if stated else "in percent of the root mean square reading."
     return Figure(name, caption, panels)
@@ -237,7 +249,13 @@ def _list_parameters(content: ReportContent) -> list[Table]:
     fitted = content.tables.get("model_parameters")
     if fitted is None:
         return []
-    names = [
-        f"{str(kind).replace('_', ' ')} {of}".strip() for kind, of in zip(fitted["kind"], fitted["of"], strict=True)
+    return [
+        list_parameters(
+            "Uncertain numbers of the model, change against what was stated",
+            [
+                f"{str(kind).replace('_', ' ')} {of}".strip()
+                for kind, of in zip(fitted["kind"], fitted["of"], strict=True)
+            ],
+            fitted,
+        )
     ]
-    return [list_parameters("Uncertain numbers of the model, change against what was stated", names, fitted)]

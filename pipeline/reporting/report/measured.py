@@ -24,7 +24,7 @@ from pipeline.reporting.measured_figures import (
     pick_speeds,
 )
 from pipeline.reporting.report.content import ReportContent, View
-from pipeline.reporting.tables import Amplitude, Block, Cell, Paragraph, Section, Table
+from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Table
 from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6
@@ -32,20 +32,19 @@ _SHAFT, _DISC = 0.16, 0.75
 """Half heights in the sketch of shaft and discs whose diameters are not known."""
 
 
-def describe_machine(content: ReportContent) -> Section:
+def describe_machine(content: ReportContent) -> list[Block]:
     """Sketch, bearings, probes and runs."""
-    rotor = content.measurement.rotor
-    source = content.config.machine.rotor.file
-    text = (
+    rotor, source = content.measurement.rotor, content.config.machine.rotor.file
+    return [
         f"Rotor of {write_number(rotor.total_mass)} kg, {count(rotor.n_nodes, 'node')} over "
         f"{write_number(float(rotor.positions[-1]))} m"
         + (f", from the file {source}" if source else "")
         + f"; {count(len(rotor.bearing_nodes), 'bearing')}, {count(len(rotor.disc_nodes), 'disc')}, "
-        f"{count(len(content.probes), 'probe')}. Node numbers start at 0."
-    )
-    return Section(
-        "machine", "Machine", (Paragraph(text), _draw_sketch(content), _list_probes(content), _list_runs(content))
-    )
+        f"{count(len(content.probes), 'probe')}. Node numbers start at 0.",
+        _draw_sketch(content),
+        _list_probes(content),
+        _list_runs(content),
+    ]
 
 
 def _draw_sketch(content: ReportContent) -> Figure:
@@ -66,11 +65,14 @@ def _draw_sketch(content: ReportContent) -> Figure:
     for nodes, height, label, colour, marker, look in marks:
         places = np.full(len(nodes), height)
         curves += [Curve(x[nodes], places, label, colour, "none", marker, **look)] if nodes else []
-    panel = Panel("", "position along the shaft (m)", [Axes(curves, "", y_range=(-1.5, 1.65))], wide=True, bare=True)
     caption = "The machine as it is modelled; radii are drawn larger than lengths. Dots are nodes."
     if not probes:
         caption += " Probes see x and y at every node."
-    return Figure("sketch", caption, [panel])
+    return Figure(
+        "sketch",
+        caption,
+        [Panel("", "position along the shaft (m)", [Axes(curves, "", y_range=(-1.5, 1.65))], wide=True, bare=True)],
+    )
 
 
 def _draw_bodies(content: ReportContent) -> tuple[list[Curve], float]:
@@ -133,7 +135,7 @@ def describe_weight(magnitude: float, phase: float) -> str:
     return f"{write_number(_G_MM * magnitude)} g mm at {write_number(float(np.degrees(phase)))}°"
 
 
-def describe_measured(content: ReportContent) -> Section:
+def describe_measured(content: ReportContent) -> list[Block]:
     """1X vectors of the probes, before any fit."""
     text = "All figures here show readings, not the model."
     if content.baseline() is not None:
@@ -145,17 +147,16 @@ def describe_measured(content: ReportContent) -> Section:
     for number, name in zip(left, ("probes", "runs"), strict=True):
         if number:
             text += f" {number} further {name} are not shown."
-    blocks: list[Block] = [Paragraph(text)]
-    for note in content.files.get("ingest", {}).get("notes", []):
-        blocks.append(Paragraph(f"{note[:1].upper()}{note[1:]}.", warning=True))
-    blocks += [
+    notes = content.files.get("ingest", {}).get("notes", [])
+    return [
+        text,
+        *(Mark("warning", f"{note[:1].upper()}{note[1:]}.") for note in notes),
         _list_peaks(content),
         _draw_bode(content),
         _draw_polar(content),
         *_draw_orbits(content),
         *_draw_waveforms(content),
     ]
-    return Section("measured", "What was measured", tuple(blocks))
 
 
 def _list_peaks(content: ReportContent) -> Table:
@@ -195,15 +196,18 @@ def _draw_polar(content: ReportContent) -> Figure:
             if len(curves) == 1:
                 ticks = _space_evenly(vectors)
                 at, texts = vectors[ticks], [f"{content.rpm[s]:.0f}" for s in points[ticks]]
-                lags = -np.degrees(np.angle(at))
-                curves.append(Curve(lags, np.abs(at), "", BLACK, "none", "o", full=True, size=2.5, texts=texts))
-        axes = Axes(curves, AMPLITUDE, quantity="amplitude")
-        panels.append(Panel(_title(probe), "", [axes], polar=probe.angle))
-    caption = (
+                curves.append(
+                    Curve(
+                        -np.degrees(np.angle(at)), np.abs(at), "", BLACK, "none", "o", full=True, size=2.5, texts=texts
+                    )
+                )
+        panels.append(Panel(_title(probe), "", [Axes(curves, AMPLITUDE, quantity="amplitude")], polar=probe.angle))
+    return Figure(
+        "polar",
         "Polar plots, 1X, amplitude in µm pk-pk. Zero lies at the probe; the shaft turns counterclockwise, from x "
-        "(right) towards y (up), and the lag counts against it. Numbers are speeds in rpm."
+        "(right) towards y (up), and the lag counts against it. Numbers are speeds in rpm.",
+        tuple(panels),
     )
-    return Figure("polar", caption, tuple(panels))
 
 
 def _space_evenly(vectors: np.ndarray) -> np.ndarray:
@@ -235,15 +239,26 @@ def _draw_waveforms(content: ReportContent, least_move: float = 1e-6) -> list[Fi
     """
     if not content.spectra:
         return []
-    panels = [_draw_spectrum(title, spectra) for title, spectra in content.spectra.items()]
     caption = (
         "Full spectra of the run-ups in orders of the rotor speed: positive orders whirl with the rotation, negative "
         "ones against it. Levels are powers of ten of the amplitude in µm pk-pk."
     )
     moves = {title: s for title, s in content.spectra.items() if np.ptp(s.centre, axis=0).max() > least_move}
     shifted = [_draw_centreline(title, spectra) for title, spectra in moves.items()]
-    text = "Mean position of the shaft from the DC part of the probes, against the lowest speed (square)."
-    return [Figure("spectra", caption, panels), *([Figure("centreline", text, shifted)] if shifted else [])]
+    return [
+        Figure("spectra", caption, [_draw_spectrum(title, spectra) for title, spectra in content.spectra.items()]),
+        *(
+            [
+                Figure(
+                    "centreline",
+                    "Mean position of the shaft from the DC part of the probes, against the lowest speed (square).",
+                    shifted,
+                )
+            ]
+            if shifted
+            else []
+        ),
+    ]
 
 
 def _draw_spectrum(title: str, spectra: FullSpectra) -> Panel:
@@ -255,8 +270,18 @@ def _draw_spectrum(title: str, spectra: FullSpectra) -> Panel:
 def _draw_centreline(title: str, spectra: FullSpectra) -> Panel:
     order = np.argsort(spectra.speeds)
     x, y = (spectra.centre[order] - spectra.centre[order[0]]).T
-    curves = [
-        Curve(x, y, "mean position", GREY, "solid", "o"),
-        Curve(x[:1], y[:1], "lowest speed", BLACK, "none", "s"),
-    ]
-    return Panel(title, "x (µm)", [Axes(curves, "y (µm)", quantity="amplitude")], equal=True)
+    return Panel(
+        title,
+        "x (µm)",
+        [
+            Axes(
+                [
+                    Curve(x, y, "mean position", GREY, "solid", "o"),
+                    Curve(x[:1], y[:1], "lowest speed", BLACK, "none", "s"),
+                ],
+                "y (µm)",
+                quantity="amplitude",
+            )
+        ],
+        equal=True,
+    )

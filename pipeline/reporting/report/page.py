@@ -40,7 +40,7 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
 
     environment = Environment(loader=FileSystemLoader(_FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["typeset"] = typeset
-    figures = [block for section in sections for block in section.blocks if isinstance(block, Figure)]
+    figures = [block for _, _, blocks in sections for block in blocks if isinstance(block, Figure)]
     every = [panel for figure in figures for panel in figure.panels]
     panels = {panel: _describe_panel(panel) | {"id": f"panel{i}"} for i, panel in enumerate(every)}
     text = environment.get_template("page.html").render(
@@ -65,8 +65,7 @@ def _read(name: str) -> str:
 
 def _find_textual(table: Table) -> list[bool]:
     """Which columns have more than numbers."""
-    columns = range(len(table.header))
-    return [any(not _NUMBER.fullmatch(typeset(row[c])) for row in table.rows) for c in columns]
+    return [any(not _NUMBER.fullmatch(typeset(row[c])) for row in table.rows) for c in range(len(table.header))]
 
 
 def _describe_panel(panel: Panel) -> dict[str, Any]:
@@ -104,8 +103,10 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         layout[f"yaxis{suffix}"] = y
         kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
         for curve in axes.curves:
-            described = _describe_curve(curve, kind, axes.scale == "log")
-            traces += [trace | {"xaxis": "x", "yaxis": f"y{suffix}"} for trace in described]
+            traces += [
+                trace | {"xaxis": "x", "yaxis": f"y{suffix}"}
+                for trace in _describe_curve(curve, kind, axes.scale == "log")
+            ]
         look = {"type": "line", "yref": f"y{suffix} domain", "y0": 0, "y1": 1, "line": {"color": GREY, "dash": "dot"}}
         layout["shapes"] += [look | {"x0": at, "x1": at, "label": {"text": text}} for at, text in axes.rules]
     if len(panel.axes) > 1:
@@ -178,9 +179,9 @@ def _describe_look(curve: Curve) -> dict[str, Any]:
 
 
 def _describe_polar(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
     angles = {"rotation": panel.polar, "direction": "clockwise", "gridcolor": "#e4e4e4", "ticksuffix": "°", "dtick": 45}
     radii = {"gridcolor": "#e4e4e4", "angle": 0, "nticks": 4, "tickfont": {"size": 9}}
+    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
     return traces, {"polar": {"angularaxis": angles, "radialaxis": radii, "bgcolor": "#fff"}}
 
 

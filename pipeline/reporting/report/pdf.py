@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.files import write_beside
 from pipeline.reporting.figure import Figure
 from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image
-from pipeline.reporting.tables import Paragraph, Section, Table, typeset
+from pipeline.reporting.tables import Mark, Section, Table, typeset
 
 _WIDTH = 186.0
 """mm of a page between its margins."""
@@ -34,16 +34,16 @@ def write_pdf(path: Path, title: str, head: Sequence[str], sections: Sequence[Se
     _write_text(pdf, title, 15, 8, bold=True)
     for line in [*head, "Amplitudes are in µm pk-pk, phases are lags."]:
         _write_text(pdf, line, 9, 5)
-    for number, section in enumerate(sections, start=1):
+    for number, (_, name, blocks) in enumerate(sections, start=1):
         pdf.ln(3)
         if pdf.will_page_break(30):
             pdf.add_page()
         pdf.set_font("DejaVu", "B", 12)
-        pdf.start_section(f"{number}. {section.title}")
-        _write_text(pdf, f"{number}. {section.title}", 12, 7, bold=True)
-        for block in section.blocks:
-            if isinstance(block, Paragraph):
-                _write_text(pdf, typeset(block.text), 9, 4.6, bold=block.warning, align="L")
+        pdf.start_section(f"{number}. {name}")
+        _write_text(pdf, f"{number}. {name}", 12, 7, bold=True)
+        for block in blocks:
+            if isinstance(block, str | Mark):
+                _write_text(pdf, typeset(block), 9, 4.6, bold=isinstance(block, Mark) and block.kind != "", align="L")
                 pdf.ln(1)
             elif isinstance(block, Table):
                 _write_table(pdf, block)

@@ -14,41 +14,53 @@ from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
-from pipeline.reporting.tables import Block, Cell, Mark, Paragraph, Section, Table
+from pipeline.reporting.tables import Block, Cell, Mark, Section, Table
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
 
 
 def list_sections(content: ReportContent) -> list[Section]:
     """Those that there is something to say in."""
-    fit = content.fit
-    sections: list[Section | None] = [describe_verdicts(content), describe_numbers(content)]
-    sections += [] if fit is None else [describe_coefficients(content, fit)]
-    sections += [describe(content) for describe in (describe_machine, describe_measured, describe_diagnosis)]
-    if fit is not None:
-        fitted = (describe_fit, describe_held_out, describe_modes, describe_response)
-        sections += [*(describe(content, fit) for describe in fitted), describe_balancing(content)]
-    return [section for section in (*sections, describe_conventions(content), describe_origin(content)) if section]
+    fit, origin = content.fit, list(content.origin.items())
+    sections: list[Section] = [
+        ("verdicts", "Can this be trusted?", describe_verdicts(content)),
+        ("numbers", "Numbers of the bearing laws", describe_numbers(content)),
+        ("coefficients", "Stiffness and damping", describe_coefficients(content, fit) if fit else ()),
+        ("machine", "Machine", describe_machine(content)),
+        ("measured", "What was measured", describe_measured(content)),
+        ("diagnosis", "Diagnosis", describe_diagnosis(content)),
+        ("fit", "Fit and residuals", describe_fit(content, fit) if fit else ()),
+        ("held-out", "Held-out runs and speeds", describe_held_out(content, fit) if fit else ()),
+        ("modes", "Critical speeds and stability", describe_modes(content, fit) if fit else ()),
+        ("response", "Unbalance response", describe_response(content, fit) if fit else ()),
+        ("balancing", "Residual unbalance and correction weights", [describe_balancing(content)] if fit else ()),
+        ("conventions", "Conventions", [describe_conventions(content)]),
+        (
+            "origin",
+            "Where this comes from",
+            [Table("Versions, data and command", ["", "value"], origin)],
+        ),
+    ]
+    return [section for section in sections if section[-1]]
 
 
-def describe_verdicts(content: ReportContent) -> Section:
+def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
     judged = content.files.get("verdicts")
     if not judged:
-        said = "No verdicts were written: stage=verdict makes them."
-        return Section("verdicts", "Can this be trusted?", (Paragraph(said),))
+        return ["No verdicts were written: stage=verdict makes them."]
     blocks: list[Block] = []
     machine = judged.get("machine")
     if machine:
         why = " ".join(text for text in (machine.get("reason"), machine.get("next")) if text)
         said = f"The machine as a whole: {machine['verdict']}. {why}"
         said += f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
-        blocks.append(Paragraph(said, warning=machine["verdict"] != "good"))
+        blocks.append(Mark("warning" if machine["verdict"] != "good" else "", said))
     for caption, key in (("Bearings", "bearings"), ("Coefficients", "verdicts")):
         rows = [_write_verdict(entry) for entry in judged.get(key, [])]
         kind = caption.lower().removesuffix("s")
         blocks += [Table(caption, [kind, "verdict", "why", "next step"], rows).without_blank()] * bool(rows)
-    return Section("verdicts", "Can this be trusted?", tuple(blocks))
+    return blocks
 
 
 def _write_verdict(entry: Mapping[str, Any]) -> list[Cell]:
@@ -57,42 +69,56 @@ def _write_verdict(entry: Mapping[str, Any]) -> list[Cell]:
     return [name, Mark(entry["verdict"], entry["verdict"]), why, entry.get("next") or ""]
 
 
-def describe_numbers(content: ReportContent) -> Section | None:
-    """The numbers of the bearing laws, and what the readings say against these; None for a fit without laws."""
+def describe_numbers(content: ReportContent) -> list[Block]:
+    """The numbers of the bearing laws, and what the readings say against these; nothing for a fit without laws."""
     training, kind = content.files.get("training", {}), content.config.model.kind
     numbers = list_numbers(training.get("physical_numbers", {}), content.config)
     if not numbers:
-        return None
+        return []
     contradicted = any(map(list_contradicted, training.get("correction", {}).values()))
     against = find_contradiction(training, kind) is not None or contradicted
-    text = "All coefficients over speed and operating conditions follow from these numbers"
-    text += ", times what a network corrects." if training.get("correction") else "."
-    said = [Paragraph(sentence, warning=against) for sentence in describe_law(training, kind)]
-    table = tabulate_numbers("Found, +- one standard deviation", numbers)
-    return Section("numbers", "Numbers of the bearing laws", (Paragraph(text), table, *said))
+    corrected = ", times what a network corrects" if training.get("correction") else ""
+    return [
+        f"All coefficients over speed and operating conditions follow from these numbers{corrected}.",
+        tabulate_numbers("Found, +- one standard deviation", numbers),
+        *(Mark("warning" if against else "", sentence) for sentence in describe_law(training, kind)),
+    ]
 
 
-def describe_diagnosis(content: ReportContent) -> Section | None:
-    """What the data determine before any fit: rank, condition number, deviations; None where nothing was diagnosed."""
+def describe_diagnosis(content: ReportContent) -> list[Block]:
+    """What the data determine before any fit: rank, condition, deviations; nothing where nothing was diagnosed."""
     diagnosis = content.files.get("diagnosis")
     if not diagnosis:
-        return None
+        return []
     noise, rows, blocks = diagnosis["stated_noise"], [], []
     for node, bearing in diagnosis["bearings"].items():
         least, most = bearing["rank"]["least"], bearing["rank"]["most"]
         condition, worst = (write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max"))
         rank = f"{least}" if least == most else f"{least} to {most}"
-        cells = [f"{rank} of {bearing['unknowns']}", f"{condition}, worst {worst}", bearing["least_determined"]]
-        rows.append([f"node {node}", bearing["verdict"], *cells])
+        rows.append(
+            [
+                f"node {node}",
+                bearing["verdict"],
+                f"{rank} of {bearing['unknowns']}",
+                f"{condition}, worst {worst}",
+                bearing["least_determined"],
+            ]
+        )
         if bearing["reason"]:
-            blocks.append(Paragraph(f"Bearing at node {node}: {bearing['reason']}", warning=True))
-    text = (
-        f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
-        "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."
-    )
-    header = ["bearing", "verdict", "rank", "condition number", "determined least"]
-    table = Table("What the readings tell of each bearing", header, rows)
-    return Section("diagnosis", "Diagnosis", (Paragraph(text), *blocks, table, *_list_expected(diagnosis)))
+            blocks.append(Mark("warning", f"Bearing at node {node}: {bearing['reason']}"))
+    return [
+        (
+            f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
+            "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."
+        ),
+        *blocks,
+        Table(
+            "What the readings tell of each bearing",
+            ["bearing", "verdict", "rank", "condition number", "determined least"],
+            rows,
+        ),
+        *_list_expected(diagnosis),
+    ]
 
 
 def _list_expected(diagnosis: Mapping[str, Any]) -> list[Table]:
@@ -100,10 +126,17 @@ def _list_expected(diagnosis: Mapping[str, Any]) -> list[Table]:
     judged = diagnosis.get("determined") or {}
     by_node = judged.get("coefficients") or {}
     names = [name for name in COEFFICIENTS if any(name in cells for cells in by_node.values())]
-    rows = [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names]
-    header = ["coefficient", *(f"bearing at node {node}" for node in by_node)]
-    caption = f"Expected standard deviation, {judged.get('by')} (median over the speed)"
-    return [Table(caption, header, rows)] if by_node else []
+    return (
+        [
+            Table(
+                f"Expected standard deviation, {judged.get('by')} (median over the speed)",
+                ["coefficient", *(f"bearing at node {node}" for node in by_node)],
+                [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names],
+            )
+        ]
+        if by_node
+        else []
+    )
 
 
 def _write_expected(cell: Mapping[str, Any] | None) -> str:
@@ -113,15 +146,14 @@ def _write_expected(cell: Mapping[str, Any] | None) -> str:
     return f"{write_number(percent if isinstance(percent, float) else None, digits=2)} %, {cell['verdict']}"
 
 
-def describe_balancing(content: ReportContent) -> Section:
+def describe_balancing(content: ReportContent) -> str | Table:
     """Residual unbalance of each plane and the weights that take it away; a sentence where none was identified."""
-    title, table = "Residual unbalance and correction weights", content.tables.get("residual_unbalance")
+    table = content.tables.get("residual_unbalance")
     if table is None or not len(table["node"]):
-        text = (
+        return (
             "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
             "loss=response, this section has the correction weights."
         )
-        return Section("balancing", title, (Paragraph(text),))
     (sign, start), counted = _count_angles(content)
     rows = []
     for node, size, angle, deviation in zip(
@@ -131,9 +163,11 @@ def describe_balancing(content: ReportContent) -> Section:
         amount = write_number(1e6 * size, 1e6 * deviation)
         at, opposite = (write_number((sign * (angle + turn) + start) % 360, spread) for turn in (0, 180))
         rows.append([f"node {node:.0f}", amount, at, amount, opposite])
-    header = ["plane", "unbalance, g mm", "at, deg", "correction, g mm", "at, deg (opposite)"]
-    caption = f"Angles {counted}; +- one standard deviation. Add the correction, or remove as much at the unbalance."
-    return Section("balancing", title, (Table(caption, header, rows),))
+    return Table(
+        f"Angles {counted}; +- one standard deviation. Add the correction, or remove as much at the unbalance.",
+        ["plane", "unbalance, g mm", "at, deg", "correction, g mm", "at, deg (opposite)"],
+        rows,
+    )
 
 
 def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
@@ -153,7 +187,7 @@ def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
     return turns.get(recordings.shaft_angle or "", (1.0, 0.0)), counted
 
 
-def describe_conventions(content: ReportContent) -> Section:
+def describe_conventions(content: ReportContent) -> Table:
     """Axes, rotation, amplitudes, phases, deviations."""
     rows = [
         ["Axes", "x and y span the plane across the shaft; angles are counted from x towards y."],
@@ -178,10 +212,4 @@ def describe_conventions(content: ReportContent) -> Section:
     said = content.files.get("ingest", {}).get("conventions")
     if said:
         rows.append(["Recordings", f"Read as {said}."])
-    return Section("conventions", "Conventions", (Table("How the numbers are meant", ["", "meaning"], rows),))
-
-
-def describe_origin(content: ReportContent) -> Section:
-    """Where all comes from: command, versions and hashes."""
-    rows = [[name, value] for name, value in content.origin.items()]
-    return Section("origin", "Where this comes from", (Table("Versions, data and command", ["", "value"], rows),))
+    return Table("How the numbers are meant", ["", "meaning"], rows)

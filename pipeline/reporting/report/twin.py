@@ -31,20 +31,20 @@ from pipeline.reporting.figure import (
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.measured import describe_weight
-from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Paragraph, Section, Table
+from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Table
 from pipeline.reporting.twin import CRITICAL, list_critical
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 
-def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e-9) -> Section | None:
-    """Critical speeds, Campbell diagram and stability map; None without a prediction.
+def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e-9) -> list[Block]:
+    """Critical speeds, Campbell diagram and stability map; nothing without a prediction.
 
     The growth rate of a machine at rest in a mode is known to ``rounding`` (1/s).
     """
     identified = content.files.get("prediction", {}).get("identified")
     if identified is None:
-        return None
+        return []
     stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
     verdict = stability.get("verdict", "stable" if stability["stable"] else "unstable")
     said = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}.get(verdict)
@@ -65,22 +65,27 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
         f"Separation margins are from {running} rpm (machine.prediction.speed_rpm), in percent of it."
     )
     beyond = "the bands grow there, and rest on the model of the coefficients alone."
-    blocks: list[Block] = [*list_reservations(content), Paragraph(text, warning=verdict == "unstable")]
-    blocks += [Paragraph(f"{text[0].upper()}{text[1:]}: {beyond}", warning=True) for text in fit.beyond]
-    blocks.append(_list_critical_speeds(rpm, identified["critical_speeds"]))
-    figures = () if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))
-    return Section("modes", "Critical speeds and stability", (*blocks, *figures))
+    return [
+        *list_reservations(content),
+        Mark("warning" if verdict == "unstable" else "", text),
+        *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
+        _list_critical_speeds(rpm, identified["critical_speeds"]),
+        *(() if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))),
+    ]
 
 
 def _name_range(rpm: np.ndarray) -> str:
     return f"from {' to '.join(write_number(float(speed), digits=6) for speed in rpm[[0, -1]])} rpm"
 
 
-def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table | Paragraph:
+def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
     if not critical:
-        return Paragraph(f"No damped natural frequency equals the rotor speed {_name_range(rpm)}.")
-    rows = [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)]
-    return Table("Damped critical speeds", ["critical speed", *CRITICAL], rows)
+        return f"No damped natural frequency equals the rotor speed {_name_range(rpm)}."
+    return Table(
+        "Damped critical speeds",
+        ["critical speed", *CRITICAL],
+        [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)],
+    )
 
 
 def _draw_campbell(content: ReportContent, fit: FitContent, identified: Mapping[str, Any]) -> Figure:
@@ -93,9 +98,18 @@ def _draw_campbell(content: ReportContent, fit: FitContent, identified: Mapping[
     curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
     crossings = np.array([mode["rpm"] for mode in identified["critical_speeds"].values()])
     curves += [Curve(crossings, crossings, "critical speed", BLACK, "none", "o")] if len(crossings) else []
-    axes = Axes(curves, "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))
-    caption = "Modes in the order of their damped natural frequencies; over-damped ones have none."
-    return Figure("campbell", caption, [Panel("Campbell diagram", RPM, [axes], wide=True)])
+    return Figure(
+        "campbell",
+        "Modes in the order of their damped natural frequencies; over-damped ones have none.",
+        [
+            Panel(
+                "Campbell diagram",
+                RPM,
+                [Axes(curves, "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))],
+                wide=True,
+            )
+        ],
+    )
 
 
 def _read_band(content: ReportContent, rpm: np.ndarray, mode: int, column: str) -> np.ndarray:
@@ -121,18 +135,17 @@ def _draw_stability(content: ReportContent, fit: FitContent, highest: float = 1.
         curves.append(replace(drawn, band=band[every]))
     curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
     limits = (min(-0.1, 1.1 * float(np.nanmin(within, initial=0.0))), highest)
-    axes = Axes(curves, "logarithmic decrement", y_range=limits)
-    caption = (
+    return Figure(
+        "stability",
         "Logarithmic decrement of the modes up to twice the top speed, in the order of their frequencies at each "
-        f"speed, where it is below {highest:g}. Below zero the machine is unstable; API RP 684 asks for 0.1 at least."
+        f"speed, where it is below {highest:g}. Below zero the machine is unstable; API RP 684 asks for 0.1 at least.",
+        [Panel("Stability map", RPM, [Axes(curves, "logarithmic decrement", y_range=limits)], wide=True)],
     )
-    return Figure("stability", caption, [Panel("Stability map", RPM, [axes], wide=True)])
 
 
-def describe_response(content: ReportContent, fit: FitContent) -> Section:
+def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
     """Verification as in API 617, and the prediction of an unbalance that no run has."""
-    blocks = (*list_reservations(content), *_verify(content, fit), *_predict(content, fit))
-    return Section("response", "Unbalance response", blocks)
+    return [*list_reservations(content), *_verify(content, fit), *_predict(content, fit)]
 
 
 def find_peak(rpm: np.ndarray, size: np.ndarray, least_prominence: float = 0.05) -> tuple[float, float] | None:
@@ -152,7 +165,7 @@ def find_peak(rpm: np.ndarray, size: np.ndarray, least_prominence: float = 0.05)
     return float(rpm[s] + top), float(a * top**2 + b * top + c)
 
 
-def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.0) -> list[Paragraph | Table]:
+def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.0) -> list[str | Table]:
     """The response peaks of the runs that unbalances excite.
 
     ``speed_tolerance`` is in percent of the predicted critical speed (API 617, unbalanced rotor response verification).
@@ -184,15 +197,15 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
             ]
             rows.append(row)
     if not rows:
-        return [Paragraph("No unbalance run has a response peak inside the speed range: there is nothing to verify.")]
+        return ["No unbalance run has a response peak inside the speed range: there is nothing to verify."]
+    header = ["run", "probe", "peak, rpm", "predicted, rpm", "off, %"]
+    header += ["amplitude, µm pk-pk", "predicted, µm pk-pk", "verdict"]
     text = (
         "Each row is a response peak inside the speed range. As in API 617's verification test, the measured peak must "
         f"lie within {speed_tolerance:g} % of the predicted speed, and must not be higher than predicted (here: by "
         "more than two deviations of the noise and 5 %). Runs that were fitted verify less than runs that were not."
     )
-    header = ["run", "probe", "peak, rpm", "predicted, rpm", "off, %"]
-    header += ["amplitude, µm pk-pk", "predicted, µm pk-pk", "verdict"]
-    return [Paragraph(text), Table("Unbalanced rotor response verification", header, rows)]
+    return [text, Table("Unbalanced rotor response verification", header, rows)]
 
 
 def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
@@ -207,9 +220,18 @@ def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
         f"node {unbalance.node}: {describe_weight(unbalance.magnitude, unbalance.phase)}"
         for unbalance in asked.unbalances
     )
-    panel = Panel(f"node {asked.node}", RPM, [Axes(curves, AMPLITUDE, quantity="amplitude")], wide=True)
     state = name_state(fit.twin.operating)
     caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting})"
     caption += f", at {state}" if state else ""
     caption += ", with its nominal 95 % band." if any(len(c.band) for c in curves) else "; this fit states no band."
-    return [Figure("prediction", caption, [panel])] if curves else []
+    return (
+        [
+            Figure(
+                "prediction",
+                caption,
+                [Panel(f"node {asked.node}", RPM, [Axes(curves, AMPLITUDE, quantity="amplitude")], wide=True)],
+            )
+        ]
+        if curves
+        else []
+    )
