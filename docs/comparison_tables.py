@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.tables import format_markdown
+from pipeline.reporting.blocks import format_markdown
 
 BLOCK = re.compile(r"(<!-- tables of (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

@@ -15,7 +15,7 @@ from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figure import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
+from pipeline.reporting.blocks import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -86,8 +86,7 @@ class Coefficients:
         c, (colour, marker) = COEFFICIENTS.index(name), look
         values, known = scale * self.identified.values[b, :, c], name not in self.unknowns[b]
         if known:
-            shown = [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")]
-            return shown if values.any() else []
+            return [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")] if values.any() else []
         band = NOMINAL_95 * scale * self.deviation[b, :, c]
         drawn = Curve(self.rpm, values, label, colour) if line else mark(self.rpm, values, label, colour, marker, count)
         key = [Curve(NOTHING, NOTHING, "nominal 95 %", GREY, filled=True)] if np.isfinite(band).any() else []

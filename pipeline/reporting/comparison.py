@@ -10,9 +10,9 @@ import numpy as np
 
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
+from pipeline.reporting.blocks import BLUE, GREEN, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.comparison_tables import SENSOR_TEXT, Comparison, describe_case, format_noise, make_tables
 from pipeline.reporting.console import say, table
-from pipeline.reporting.figure import BLUE, GREEN, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 
 _NOISE_LOOKS = ((GREY, "o"), (BLUE, "s"), (ORANGE, "^"), (GREEN, "D"), *LOOKS[3:])

@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.comparison.cases import Case
 from pipeline.comparison.result import CoefficientResult, Result
 from pipeline.methods.catalogue import METHODS
-from pipeline.reporting.tables import Table, format_markdown
+from pipeline.reporting.blocks import Table, format_markdown
 from pipeline.write_numbers import write_number
 
 
@@ -78,17 +78,14 @@ class Comparison:
         """
         least, found = 2 if case.noise else 1, {method: self.entries(method, case, name) for method in self.methods}
         enough = [method for method in self.methods if len(self.of(method, case)) == len(found[method]) >= least]
-        errors = {method: self.error(method, case, name) for method in enough}
-        if not errors:
-            return set()
-        most = max(len(found[method]) for method in enough)
-        best = min((m for m in enough if len(found[m]) == most), key=lambda method: errors[method])
-        return {method for method in errors if method == best or not self.differs(method, best, case, name)}
+        most = max((len(found[method]) for method in enough), default=0)
+        fullest = (method for method in enough if len(found[method]) == most)
+        best = min(fullest, key=lambda method: self.error(method, case, name), default="")
+        return {method for method in enough if method == best or not self.differs(method, best, case, name)}
 
     def by_coefficient(self, method: str) -> dict[str, float]:
         """Coefficient -> error in the main case; empty where there is no answer."""
-        errors = {name: self.error(method, self.main, name) for name in self.names}
-        return {name: error for name, error in errors.items() if not np.isnan(error)}
+        return {name: error for name in self.names if not np.isnan(error := self.error(method, self.main, name))}
 
     def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
@@ -118,9 +115,8 @@ class Comparison:
     def format_entry(self, method: str, case: Case, name: str | None = None) -> str:
         """Mean, and the spread where there are several data sets; bold where it is level with the best."""
         error, spread = self.error(method, case, name), self.spread(method, case, name)
-        text = format_error(error)
-        if error >= ROUNDING_PERCENT and not np.isnan(spread):
-            text += f" ± {format_spread(spread)}"
+        told = error >= ROUNDING_PERCENT and not np.isnan(spread)
+        text = format_error(error) + (f" ± {write_number(spread, digits=2 if spread >= 9.5 else 1)}" if told else "")
         return f"**{text}**" if method in self.level_with_best(case, name) else text
 
     def label(self, method: str, cases: Sequence[Case]) -> str:
@@ -142,12 +138,12 @@ class Comparison:
 
     def best_other(self, method: str, case: Case, name: str, *without: str) -> tuple[str, float]:
         """The best of the others but ``without`` for a coefficient, and the error of ``method`` over its error."""
-        others = {other: self.error(other, case, name) for other in self.methods if other not in (method, *without)}
-        answered = {other: error for other, error in others.items() if not np.isnan(error)}
+        errors = {other: self.error(other, case, name) for other in self.methods if other not in (method, *without)}
+        answered = [other for other, error in errors.items() if not np.isnan(error)]
         if not answered:
             return "", float("nan")
-        best = min(answered, key=lambda other: answered[other])
-        return best, self.error(method, case, name) / answered[best]
+        best = min(answered, key=errors.__getitem__)
+        return best, self.error(method, case, name) / errors[best]
 
     def outcomes(self) -> dict[str, dict[str, str]]:
         """Why a method gave no answer: method -> name of the reason -> its words."""
@@ -169,11 +165,6 @@ def format_error(error: float) -> str:
     return write_number(error, digits=3 if error >= 100 else 2)
 
 
-def format_spread(spread: float) -> str:
-    """A standard deviation in percent, to one digit where it has them."""
-    return write_number(spread, digits=2 if spread >= 9.5 else 1)
-
-
 def format_noise(noise: float) -> str:
     """A share as percent."""
     return f"{100 * noise:g} %"
@@ -192,15 +183,16 @@ def make_tables(comparison: Comparison) -> list[Table]:
     """Every table; the first column names the method, bold is marked by ``**``."""
     main, methods = comparison.main, comparison.methods
     noise, speeds = comparison.along("noise"), [case for case in comparison.along("speeds") if case != main]
-    title = f"sensors: {describe_case(main, 'sensors', 'speeds')}"
-    if speeds:
-        title += f"; fewer speeds at {format_noise(main.noise)} noise"
-    columns = [(case, describe_case(case, "noise")) for case in noise]
-    columns += [(case, describe_case(case, "speeds")) for case in speeds]
+    fewer = f"; fewer speeds at {format_noise(main.noise)} noise" if speeds else ""
+    title = f"sensors: {describe_case(main, 'sensors', 'speeds')}{fewer}"
+    columns = [
+        (case, describe_case(case, key)) for key, cases in (("noise", noise), ("speeds", speeds)) for case in cases
+    ]
     first = _make_table(comparison, title, columns)
     shares = ["" if held is None else f"{held:.0f}" for held in (comparison.coverage(m, main) for m in methods)]
-    rows = [[*row, share] for row, share in zip(first.rows, shares, strict=True)]
-    tables = [Table(title, [*first.header, "inside"], rows)]
+    tables = [
+        Table(title, [*first.header, "inside"], [[*row, share] for row, share in zip(first.rows, shares, strict=True)])
+    ]
     others = [case for case in comparison.along("sensors") if case.sensors != main.sensors]
     if others:
         pairs = [replace(case, noise=level.noise) for case in others for level in noise]

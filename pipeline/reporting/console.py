@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pipeline.reporting.tables import Cell
+from pipeline.reporting.blocks import Cell
 from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:

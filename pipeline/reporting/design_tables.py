@@ -33,11 +33,10 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
     sources = [values[plan] for values in (predicted, simulated) if values for plan in plans]
     header = ["bearing and unknown", *(f"{plan} runs" for plan in plans)]
     header += [f"{plan}, simulated" for plan in plans] if simulated else []
-    shown = [[_write_share(source[key]) for source in sources] for key in sources[0]]
     table(
         f"{name}: standard deviation of least squares at {noise}, % of the coefficient",
         header,
-        [[key, *row] for key, row in zip(sources[0], shown, strict=True)],
+        [[key, *(_write_share(source[key]) for source in sources)] for key in sources[0]],
     )
     say(f"{name}: the best {len(runs)} runs are {', '.join(runs)}")
     if summary["gain"] is None:
@@ -95,12 +94,11 @@ def summarize_states(
     candidates: LawCandidates, plans: Sequence[LawPlan], best: LawPlan, states: Sequence[State], accuracy: float
 ) -> dict[str, object]:
     """What ``design.json`` has."""
-    deviation = candidates.with_runs(best.states, best.runs).deviation
-    names = [parameter.name for parameter in candidates.nothing.parameters]
+    known = zip(candidates.nothing.parameters, candidates.with_runs(best.states, best.runs).deviation, strict=True)
     return {
         "accuracy": accuracy,
         "reached": best.worst <= accuracy,
-        "predicted": dict(zip(names, map(float, deviation), strict=True)),
+        "predicted": {parameter.name: float(deviation) for parameter, deviation in known},
         "states": [dict(states[t]) for t in best.states],
         "by_number_of_states": [
             {"states": [name_state(states[t]) for t in plan.states], "runs": len(plan.runs), "worst": plan.worst}
@@ -158,10 +156,9 @@ def override_states(states: Sequence[State]) -> str:
     values = {name: list(dict.fromkeys(state[name] for state in states)) for name in states[0]} if states[0] else {}
     if not values or np.prod([len(levels) for levels in values.values()]) != len(states):
         return ""
-    parts = []
-    for name, value in values.items():
-        column = column_of(name)
-        parts.append(f"{name}: [{', '.join(f'{level:g} {column.unit}' for level in column.from_si(np.array(value)))}]")
+    columns = {name: column_of(name) for name in values}
+    levels = {name: column.from_si(np.array(values[name])) for name, column in columns.items()}
+    parts = [f"{name}: [{', '.join(f'{v:g} {columns[name].unit}' for v in shown)}]" for name, shown in levels.items()]
     return " " + shlex.quote(f"machine.operating={{{', '.join(parts)}}}")
 
 
@@ -169,20 +166,25 @@ def format_runs(config: Config, chosen: Runs, speeds: SpeedsConfig) -> str:
     """The YAML that ``machine.runs_file`` takes."""
     import yaml
 
-    runs = []
-    for acting in chosen:
-        run: dict[str, object] = {"name": acting[0].run}
-        for key, kind in (("unbalances", "unbalance"), ("forces", "force")):
-            if alike := [_format_source(excitation) for excitation in acting if excitation.kind == kind]:
-                run[key] = alike
-        runs.append(run)
+    runs = [
+        {"name": acting[0].run}
+        | {
+            f"{kind}s": [_format_source(excitation) for excitation in acting if excitation.kind == kind]
+            for kind in ("unbalance", "force")
+            if any(excitation.kind == kind for excitation in acting)
+        }
+        for acting in chosen
+    ]
     return f"# Chosen by: python -m pipeline stage=design {config.chosen}\n" + yaml.safe_dump(
         {"speeds": speeds.model_dump(), "runs": runs}, sort_keys=False
     )
 
 
 def _format_source(excitation: Excitation) -> dict[str, object]:
-    unit = "kg m" if excitation.kind == "unbalance" else "N"
-    source: dict[str, object] = {"node": excitation.node, "magnitude": f"{excitation.magnitude:.12g} {unit}"}
-    source["phase"] = f"{np.degrees(excitation.phase):.12g} deg"
-    return source | ({"whirl": excitation.whirl} if excitation.kind == "force" else {})
+    force = excitation.kind == "force"
+    return {
+        "node": excitation.node,
+        "magnitude": f"{excitation.magnitude:.12g} {'N' if force else 'kg m'}",
+        "phase": f"{np.degrees(excitation.phase):.12g} deg",
+        **({"whirl": excitation.whirl} if force else {}),
+    }

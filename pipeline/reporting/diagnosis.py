@@ -17,8 +17,7 @@ from pipeline.identification.quality import finite
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined, Deviations
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Identifiability, Solvability
-from pipeline.reporting.console import table
-from pipeline.reporting.figure import (
+from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
     GREEN,
@@ -33,6 +32,7 @@ from pipeline.reporting.figure import (
     HeatMap,
     Panel,
 )
+from pipeline.reporting.console import table
 from pipeline.reporting.fit_tables import choose_unit
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
@@ -73,8 +73,9 @@ def tabulate_diagnosis(
     rows: list[dict[Hashable, Any]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
-            b = diagnosis.answer.nodes.index(node)
+            names, std = diagnosis.relative(node), diagnosis.deviation[diagnosis.answer.nodes.index(node)]
             columns = {
+                "bearing_node": node,
                 "speed_rpm": to_rpm(report.speeds),
                 **list_columns(operating),
                 "unknowns": np.full(len(report.speeds), len(report.unknowns)),
@@ -82,17 +83,11 @@ def tabulate_diagnosis(
                 "condition_number": report.condition,
                 "orbit_rank": report.orbit_rank,
                 "orbit_condition_number": report.orbit_condition,
+                **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
+                **{f"{name}_std": std[:, COEFFICIENTS.index(name)] for name in names},
+                **{f"{each.name}_verdict": each.verdict.value for each in judged if each.node == node},
             }
-            columns |= {f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)}
-            columns |= {
-                f"{name}_std": diagnosis.deviation[b, :, COEFFICIENTS.index(name)] for name in diagnosis.relative(node)
-            }
-            verdicts = {
-                f"{coefficient.name}_verdict": coefficient.verdict.value
-                for coefficient in judged
-                if coefficient.node == node
-            }
-            rows += pd.DataFrame({"bearing_node": node, **columns, **verdicts}).to_dict("records")
+            rows += pd.DataFrame(columns).to_dict("records")
     return rows
 
 
@@ -139,14 +134,12 @@ def describe_combinations(combinations: Combinations) -> str:
     if run := combinations.next_run:
         rpm, deviation = write_number(run.speed / RAD_S_PER_RPM), _show(100 * run.deviation)
         text += f"; '{run.run}' at {rpm} rpm besides would tell that to +- {deviation} %"
-    told, untold = [], []
-    for kind, (least, most) in combinations.parameters.items():
-        span = _show(least) if most - least < 0.05 else f"{_show(least)} to {_show(most)}"
-        told += [f"{kind} {span}"] * (least < WORTH)
-        untold += [kind] * (least >= WORTH)
+    told = {kind: span for kind, span in combinations.parameters.items() if span[0] < WORTH}
     if told:
-        text += f". The data narrow the tolerances (what is left, as a share): {', '.join(told)}"
-    if untold:
+        ranges = {kind: [least] if most - least < 0.05 else [least, most] for kind, (least, most) in told.items()}
+        shares = (f"{kind} {' to '.join(map(_show, span))}" for kind, span in ranges.items())
+        text += f". The data narrow the tolerances (what is left, as a share): {', '.join(shares)}"
+    if untold := [kind for kind in combinations.parameters if kind not in told]:
         text += f". They tell next to nothing of {', '.join(untold)}"
     return text + "."
 
@@ -157,11 +150,6 @@ _show = partial(write_number, digits=2)
 def summarize_combinations(combinations: Combinations) -> dict[str, Any]:
     """The same for JSON, deviations in percent."""
     run, ends = combinations.next_run, {"strongest": combinations.strongest, "weakest": combinations.weakest}
-    more = run and {
-        "run": run.run,
-        "speed_rpm": run.speed / RAD_S_PER_RPM,
-        "deviation_percent": 100 * run.deviation,
-    }
     return {
         "sentence": describe_combinations(combinations),
         **{
@@ -169,7 +157,8 @@ def summarize_combinations(combinations: Combinations) -> dict[str, Any]:
             for name, combination in ends.items()
         },
         "posterior_over_prior": {kind: list(span) for kind, span in combinations.parameters.items()},
-        "next_run": more,
+        "next_run": run
+        and {"run": run.run, "speed_rpm": run.speed / RAD_S_PER_RPM, "deviation_percent": 100 * run.deviation},
     }
 
 

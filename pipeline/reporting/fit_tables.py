@@ -18,9 +18,9 @@ from pipeline.evaluation.physical_numbers import find_contradiction, list_contra
 from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import table
-from pipeline.reporting.tables import Table
 from pipeline.rotor.parameters import UNITS
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number
@@ -47,19 +47,18 @@ def make_error_table(
             if shown.compared and error is None:
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
-            row: dict[str, Any] = {"bearing_node": node, "coefficient": name}
-            row |= {"modelled": shown.modelled[b, :, c].mean(), "identified": answer.values[b, :, c].mean()}
-            row |= asdict(error) if error else {}
-            row |= {"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}
-            rows.append(
-                row
-                | {
-                    "median_std_percent": float(
-                        100 * np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
-                    ),
-                    "verdict": verdicts.get((node, name)),
-                }
-            )
+            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+            row = {
+                "bearing_node": node,
+                "coefficient": name,
+                "modelled": shown.modelled[b, :, c].mean(),
+                "identified": answer.values[b, :, c].mean(),
+                **(asdict(error) if error else {}),
+                **({"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}),
+                "median_std_percent": float(100 * share),
+                "verdict": verdicts.get((node, name)),
+            }
+            rows.append(row)
     return pd.DataFrame(rows).dropna(axis=1, how="all")
 
 
@@ -106,10 +105,8 @@ def describe_verdicts(about: Mapping[str, Any]) -> str:
 def describe_quality(quality: Mapping[str, Any]) -> str:
     """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
     if "residual" in quality:
-        residual = quality["residual"]["mean_over_bearing_force"]
-        return (
-            f"no modelled coefficients, so no errors; residual {write_number(residual, digits=3)} of the bearing force"
-        )
+        share = write_number(quality["residual"]["mean_over_bearing_force"], digits=3)
+        return f"no modelled coefficients, so no errors; residual {share} of the bearing force"
     fit = quality["fit"]
     square, white = fit["chi_square"], fit["whiteness"]
     lines = [
@@ -117,8 +114,8 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
         f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
         f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
         f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
+        measure_misfit(fit).sentence,
     ]
-    lines.append(measure_misfit(fit).sentence)
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
             told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]
@@ -131,14 +128,14 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
 def tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
     every = fitted.quality.bad_points
-    columns: dict[str, list[Any]] = {
-        "run": [point.run for point in every],
-        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
-    }
     names = every[0].operating if every else ()
     conditions = {name: np.array([point.operating[name] for point in every]) for name in names}
-    columns |= {name: values.tolist() for name, values in list_columns(conditions).items()}
-    return columns | {name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")}
+    return {
+        "run": [point.run for point in every],
+        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
+        **{name: values.tolist() for name, values in list_columns(conditions).items()},
+        **{name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")},
+    }
 
 
 def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:

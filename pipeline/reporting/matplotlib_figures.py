@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 
 from pipeline.files import write_beside
-from pipeline.reporting.figure import (
+from pipeline.reporting.blocks import (
     GREY,
     MICROMETRES,
+    MICROMETRES_PEAK_TO_PEAK,
     Axes,
     Curve,
     Figure,
     HeatMap,
     Panel,
     count_decades,
+    list_keys,
 )
-from pipeline.reporting.tables import MICROMETRES_PEAK_TO_PEAK
 from pipeline.write_numbers import write_number
 
 PANEL_WIDTH = 3.66  # inches
@@ -175,7 +176,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
         drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
-        keys = panel.list_keys()
+        keys = list_keys([panel])
         drawn[0].legend(
             handles=[_draw_key(key) for key in keys],
             fontsize=6.5,

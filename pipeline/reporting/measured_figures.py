@@ -14,8 +14,7 @@ import numpy as np
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.coefficient_figures import colour_states, pick_states
-from pipeline.reporting.figure import (
+from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
     DASHES,
@@ -29,6 +28,7 @@ from pipeline.reporting.figure import (
     Figure,
     Panel,
 )
+from pipeline.reporting.coefficient_figures import colour_states, pick_states
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number

@@ -90,17 +90,20 @@ def compare_identified(
     if not expected:
         return {}
     first, (deviation, _) = expected[0]
-    compared = compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
-    every = [
-        {
-            "rpm": critical.speed / RAD_S_PER_RPM,
-            "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
-            "logarithmic_decrement": critical.logarithmic_decrement,
-            "deviation_logarithmic_decrement": decrement_deviation,
+    return {
+        "first": compare_natural_frequency(run_up, first.speed / RAD_S_PER_RPM, deviation / RAD_S_PER_RPM)
+        | {
+            "critical_speeds": [
+                {
+                    "rpm": critical.speed / RAD_S_PER_RPM,
+                    "deviation_rpm": speed_deviation / RAD_S_PER_RPM,
+                    "logarithmic_decrement": critical.logarithmic_decrement,
+                    "deviation_logarithmic_decrement": decrement_deviation,
+                }
+                for critical, (speed_deviation, decrement_deviation) in expected
+            ]
         }
-        for critical, (speed_deviation, decrement_deviation) in expected
-    ]
-    return {"first": compared | {"critical_speeds": every}}
+    }
 
 
 def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor: float = 0.3) -> None:

@@ -13,7 +13,7 @@ from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.tuning import Dimension, HeldOutLoss, Value
 from pipeline.data.tables import write_table
 from pipeline.files import write_json, write_text
-from pipeline.reporting.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
 from pipeline.tuning.finalists import Finalist, TrialSummary
@@ -65,17 +65,18 @@ def draw_study(
 ) -> list[Path]:
     """Draw all figures of a study into ``folder``, except those that need more trials than there are."""
     done = [trial for trial in trials if trial.loss is not None]
-    drawn = {"finalists": [_draw_finalists(finalists)]}
-    if done:
-        drawn |= {"history": [_draw_history(trials)], "slice": _draw_slices(done, space)}
-        drawn["parallel_coordinates"] = [_draw_parallel(done, space)]
-    if any(trial.curve for trial in trials):
-        drawn["learning_curves"] = [_draw_curves(trials)]
-    if importances:
-        drawn["importance"] = [_draw_importance(importances)]
+    drawn = {
+        "finalists": [_draw_finalists(finalists)],
+        "history": [_draw_history(trials)] if done else [],
+        "slice": _draw_slices(done, space) if done else [],
+        "parallel_coordinates": [_draw_parallel(done, space)] if done else [],
+        "learning_curves": [_draw_curves(trials)] if any(trial.curve for trial in trials) else [],
+        "importance": [_draw_importance(importances)] if importances else [],
+    }
     return [
         write_figure(folder / f"{name}.png", Figure(name, "", panels, columns=min(4, len(panels))))
         for name, panels in drawn.items()
+        if panels
     ]
 
 

@@ -15,7 +15,7 @@ from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.residual_loss import ChebyshevFit
-from pipeline.reporting.tables import format_markdown
+from pipeline.reporting.blocks import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.judging import describe_objective
@@ -189,22 +189,23 @@ def write_report(report: StudyReport) -> str:
     config, tuning = report.config, report.config.tuning
     states = Counter(t.state for t in report.trials)
     seconds = sum(t.seconds or 0.0 for t in report.trials)
-    command = f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}"
-    if config.training.holdout_every:
-        command += f" training.holdout_every={config.training.holdout_every}"
-    if tuning.study != config.name:
-        command += f" tuning.study={tuning.study} (and what else was overridden when the study was begun)"
+    every, overridden = config.training.holdout_every, "(and what else was overridden when the study was begun)"
+    command = [
+        f"python -m pipeline stage=tune {config.chosen} tuning.n_trials={tuning.n_trials}",
+        *([f"training.holdout_every={every}"] if every else []),
+        *([f"tuning.study={tuning.study} {overridden}"] if tuning.study != config.name else []),
+    ]
     drawn = {"importance": report.importances, "learning_curves": any(trial.curve for trial in report.trials)}
     parts = [
         f"# Study `{tuning.study}`",
         f"**Question.** Which hyperparameters identify {', '.join(report.names)} of `{config.name}` best - "
         f"{config.description}?",
-        f"**Objective.** The loss on the held-out speeds (every {config.training.holdout_every}th): "
+        f"**Objective.** The loss on the held-out speeds (every {every}th): "
         f"{describe_objective(config)}. No modelled coefficient is used, neither by the search nor by the choice.",
         f"**Budget.** {len(report.trials)} trials ({', '.join(f'{n} {s}' for s, n in sorted(states.items()))}), "
         f"{seconds:.0f} s of training, sampler {tuning.sampler} with seed {tuning.sampler_seed}, the first "
         f"{tuning.startup_trials} at random. Trial 0 is the configured default.",
-        f"    {command}",
+        f"    {' '.join(command)}",
         f"**Result.** {judge_study(report).capitalize()}.",
         _compare(report),
         *_explain_limits(report),
@@ -260,27 +261,23 @@ def _explain_limits(report: StudyReport) -> list[str]:
         return []
     series, best = report.chebyshev, report.best
     room = report.default.median / series.held_out_loss
+    gain = f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
     text = (
         "**What limits it.** A Chebyshev series of the speed, fitted by linear least squares (one answer, no "
         f"training), reaches a held-out loss of {write_number(series.held_out_loss, digits=3)} at its best degree, "
-        f"{series.degree}. "
-    )
-    text += (
-        f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
-        if room > 1
-        else "The default network is below that already."
+        f"{series.degree}. {gain if room > 1 else 'The default network is below that already.'}"
     )
     if best is report.default:
         return [text]
     sentences = [f"{text} The chosen values have {_show(max(best.median / series.held_out_loss, 1.0))} left."]
-    gains, worse = [], []
-    for name, limit in report.chebyshev_errors.items():
-        before, after = report.medians(name)
-        gains.append(
-            f"{name} {_show(before)} to {_show(after)} % ({_show(before / after)} times; series {_show(limit)} %)"
-        )
-        worse += [name] if after > before else []
-    sentences += [f"Median errors, default to chosen: {', '.join(gains)}."] if gains else []
+    medians = {name: report.medians(name) for name in report.chebyshev_errors}
+    gains = (
+        f"{name} {_show(before)} to {_show(after)} % "
+        f"({_show(before / after)} times; series {_show(report.chebyshev_errors[name])} %)"
+        for name, (before, after) in medians.items()
+    )
+    sentences += [f"Median errors, default to chosen: {', '.join(gains)}."] if medians else []
+    worse = [name for name, (before, after) in medians.items() if after > before]
     if worse:
         sentences.append(
             f"A lower held-out loss is not a better {' and '.join(worse)} here: so close to the limit, the loss "

@@ -1,7 +1,4 @@
-"""The results of an experiment on one screen, at most 40 lines of 100 columns (no path is cut), and in one picture.
-
-The picture has the coefficients, a run as measured and predicted, and the twin's response.
-"""
+"""The results of an experiment on one screen: at most 40 lines of 100 columns (a path is never cut)."""
 
 from __future__ import annotations
 
@@ -14,40 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.coefficient_figures import KINDS, Coefficients
-from pipeline.reporting.figure import (
-    BLUE,
-    GREEN,
-    GREY,
-    LOOKS,
-    MICROMETRES,
-    NOTHING,
-    ORANGE,
-    PURPLE,
-    RPM,
-    Axes,
-    Curve,
-    Figure,
-    Panel,
-    mark,
-)
+from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.fit_tables import describe_verdicts
-from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
-from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import count, format_engineering, write_number
 
 WIDTH = 100
-_AMPLITUDE = "amplitude (µm, zero-to-peak)"
 _INDENT = " " * 13
 _MOST_ROWS = 16
 """All eight coefficients of two bearings."""
@@ -188,12 +166,11 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
     lines = [f"identified{speed}{known}{against}", f"{'':20}{heads}"]
     rows = [(b, name) for b, names in enumerate(shown.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
-        row, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
-        for _, s in columns:
-            value, deviation = shown.identified.values[b, s, c], shown.deviation[b, s, c]
-            row += f"{format_engineering(float(value), float(deviation)):>22}"
+        head, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
+        pairs = [(float(shown.identified.values[b, s, c]), float(shown.deviation[b, s, c])) for _, s in columns]
+        cells = [f"{format_engineering(*pair):>22}" for pair in pairs]
         error = float(np.median(shown.measure_errors(b, name)))
-        lines.append(row + (f"{write_number(error, digits=2):>12}" if shown.compared else ""))
+        lines.append("".join([head, *cells, f"{write_number(error, digits=2):>12}" if shown.compared else ""]))
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines
@@ -202,8 +179,8 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
 def _describe_verdict(results: Results) -> str:
     """The Judgement of the whole, and how well the coefficients are determined."""
     judged = results.judged
-    text = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
-    return f"{text}; {describe_verdicts(results.training)}"
+    whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
+    return f"{whole}; {describe_verdicts(results.training)}"
 
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
@@ -216,12 +193,14 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
         return left if held_out is None else f"{left}, {write_number(held_out, digits=2)} at held-out speeds"
     fit, kind = training["fit"], "held_out_speeds"
     square, misfit = fit["chi_square"], measure_misfit(fit)
-    text = (
-        f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
-        f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise"
+    return "; ".join(
+        [
+            f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
+            f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise",
+            *([] if misfit.explained() else [misfit.sentence]),
+            *([describe_held_out(kind, fit[kind])] if kind in fit else []),
+        ]
     )
-    text += "" if misfit.explained() else f"; {misfit.sentence}"
-    return text + (f"; {describe_held_out(kind, fit[kind])}" if kind in fit else "")
 
 
 def _describe_run(results: Results) -> str:
@@ -288,91 +267,3 @@ def _name_nodes(nodes: Iterable[int]) -> str:
     if len(every) > 3 and np.ptp(every) == len(every) - 1:
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
-
-
-def draw_summary(path: Path, results: Results, title: str) -> Path:
-    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
-
-    Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
-    """
-    label = ""
-    if results.dataset.operating:
-        label, results = results.nearest()
-    beside = f", {label}" if label else ""
-    panels = [_draw_coefficients(results.coefficients, letter, beside) for letter in "kc"]
-    panels += [_draw_run(results, beside), _draw_response(results)]
-    return write_figure(path, Figure("summary", title, panels))
-
-
-def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
-    """A colour a coefficient, a marker a bearing; what is known is dashed."""
-    some, nodes = shown.choose(letter), shown.identified.nodes
-    names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
-    curves = []
-    for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
-        for b, node in enumerate(nodes):
-            look = (colour, LOOKS[b % 5][1])
-            curves += shown.draw(b, name, f"{name}, node {node}", look, 1.0)
-    values = np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
-    positive, several = values.min() > 0, values.max() > 5 * values.min()
-    # Noise of an axis that starts at its curves would look like a finding.
-    reach = (0.0, 1.15 * float(values.max())) if positive and not several else ()
-    scaled = "log" if positive and several else "linear"
-    known = "" if some else " (known, not identified)"
-    return Panel(
-        f"{KINDS[letter]} of the bearings{known}{beside}",
-        RPM,
-        [Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)],
-        legend=True,
-    )
-
-
-def _draw_run(results: Results, beside: str) -> Panel:
-    """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
-    shown = results.shown
-    at = shown.measured.any(axis=1)  # points that the run was measured at
-    rpm = to_rpm(results.dataset.speeds)[at]
-    measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
-    label = "measured (modelled data)" if results.coefficients.compared else "measured"
-    fitted = "not fitted" if shown.held_out else "fitted"
-    title = f"run {shown.name} ({fitted}), {name_channel(results.dataset.channels[shown.probe])}{beside}"
-    return Panel(
-        title,
-        RPM,
-        [
-            Axes(
-                [
-                    mark(rpm, measured, label, BLUE, count=60),
-                    Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
-                ],
-                _AMPLITUDE,
-                scale="log",
-            )
-        ],
-        legend=True,
-    )
-
-
-def _draw_response(results: Results) -> Panel:
-    """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled, rpm = (
-        results.twin.vibration["identified"],
-        results.twin.vibration.get("modelled"),
-        results.rpm,
-    )
-    curves, (sizes, deviations) = [], measure_sizes(identified)
-    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
-        size, label = sizes[:, d], f"{direction} predicted"
-        if modelled is None:
-            curves.append(Curve(rpm, size, label, colour, dash))
-        else:
-            true = measure_sizes(modelled)[0][:, d]
-            curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
-        curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
-    if critical:
-        curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
-    title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"
-    return Panel(
-        title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
-    )

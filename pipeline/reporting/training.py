@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline.coefficients import unit
 from pipeline.data.tables import read_table
+from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.console import say, table
-from pipeline.reporting.figure import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -30,9 +30,14 @@ def draw_history(path: Path, history: Path, label: str, large_ratio: float = 2.0
     """
     table = read_table(history, {"step": "number", "phase": "text", "loss": "number"})
     step, loss, phase = table["step"], table["loss"], table["phase"]
-    curves = [Curve(step, loss, "training speeds")]
-    if "held_out_loss" in table:
-        curves.append(Curve(step, table["held_out_loss"], "held-out speeds", ORANGE, "dash"))
+    curves = [
+        Curve(step, table[column], label, colour, dash)
+        for column, label, colour, dash in (
+            ("loss", "training speeds", BLUE, "solid"),
+            ("held_out_loss", "held-out speeds", ORANGE, "dash"),
+        )
+        if column in table
+    ]
     rules = [(step[phase == name][0], str(name).replace("_", "-")) for name in dict.fromkeys(phase) if name != "start"]
     linear = loss.max() <= large_ratio * loss.min()  # false of a loss that is no number, which has a large range
     return write_panel(
@@ -137,21 +142,19 @@ def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: floa
     outcomes = ", ".join(f"{count} {label.replace('_', ' ')}" for label, count in summary["outcomes"].items())
     varied = {"seed": "seeds", "initial_guess": "initial guesses"}[over]
     say(f"{name}: {summary['starts']} {varied} trained at once in {seconds:.1f} s ({outcomes})")
-    rows = [
+    table(
+        f"{name}: mean error % over all {varied}",
+        ["bearing and coefficient", "worst", "median"],
         [
-            f"node {node} {coefficient}",
-            f"{values['worst_mean_error_percent']:.2g}",
-            f"{values['median_mean_error_percent']:.2g}",
-        ]
-        for node, entry in summary["coefficients"].items()
-        for coefficient, values in entry.items()
-    ]
-    if rows:
-        table(
-            f"{name}: mean error % over all {varied}",
-            ["bearing and coefficient", "worst", "median"],
-            rows,
-        )
+            [
+                f"node {node} {coefficient}",
+                f"{values['worst_mean_error_percent']:.2g}",
+                f"{values['median_mean_error_percent']:.2g}",
+            ]
+            for node, entry in summary["coefficients"].items()
+            for coefficient, values in entry.items()
+        ],
+    )
 
 
 def print_refits(name: str, summary: Mapping[str, Any]) -> None:

@@ -12,8 +12,7 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import name_state
 from pipeline.data.operating_points import list_columns
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.console import say, table
-from pipeline.reporting.figure import (
+from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
     GREY,
@@ -27,6 +26,7 @@ from pipeline.reporting.figure import (
     Panel,
     mark,
 )
+from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, follow_modes, require_separation
@@ -111,14 +111,16 @@ def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, f
         present = ~np.isnan(modes.frequency)
         speed, mode = np.nonzero(present)
         rows = {
+            "system": name,
             "speed_rpm": to_rpm(modes.speeds)[speed],
             "mode": mode + 1,
             "frequency_hz": modes.frequency[present] / RAD_S_PER_HERTZ,
             "logarithmic_decrement": modes.logarithmic_decrement[present],
             "frequency_std_hz": frequency_std[present] / RAD_S_PER_HERTZ,
             "logarithmic_decrement_std": decrement_std[present],
+            **_repeat_conditions(operating, len(speed)),
         }
-        frames.append(pd.DataFrame({"system": name, **rows, **_repeat_conditions(operating, len(speed))}))
+        frames.append(pd.DataFrame(rows))
     return pd.concat(frames, ignore_index=True)
 
 

@@ -17,38 +17,38 @@ def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
     return columns | {
         "verdict": [entry["verdict"] for entry in every],
-        "band_percent": [np.nan if (band := _read_band(entry)) is None else band for entry in every],
+        "band_percent": [_read_band(entry) for entry in every],
         "reason": [" ".join(entry["reasons"]) for entry in every],
         "next": [entry["next"] or "" for entry in every],
     }
 
 
-def _read_band(entry: Mapping[str, Any]) -> float | None:
-    """Half of the 95 % band of a coefficient in percent, where it was checked."""
-    percent: float | None = entry["checks"].get("band", {}).get("percent")
-    return percent
+def _read_band(entry: Mapping[str, Any]) -> float:
+    """Half of the 95 % band of a coefficient in percent; NaN where it was not checked."""
+    percent = entry["checks"].get("band", {}).get("percent")
+    return np.nan if percent is None else float(percent)
 
 
 def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
     """Every coefficient, bearing and the whole, with reasons and the next step."""
-    rows = []
-    for entry in judged["verdicts"]:
-        band = _read_band(entry)
-        rows.append(
-            [
-                f"node {entry['node']} {entry['coefficient']}",
-                entry["verdict"],
-                "" if band is None else f"{band:.2g}",
-                entry["reasons"][0],
-            ]
-        )
+    rows = [
+        [
+            f"node {entry['node']} {entry['coefficient']}",
+            entry["verdict"],
+            "" if np.isnan(band := _read_band(entry)) else f"{band:.2g}",
+            entry["reasons"][0],
+        ]
+        for entry in judged["verdicts"]
+    ]
     table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
     for entry in judged["bearings"]:
         say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
     whole = judged["machine"]
-    lines = [f"{name}: {whole['verdict']}. {whole['reason']}"]
-    lines += [f"next: {whole['next']}"] if whole["next"] else []
-    lines += [f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []
+    lines = [
+        f"{name}: {whole['verdict']}. {whole['reason']}",
+        *([f"next: {whole['next']}"] if whole["next"] else []),
+        *([f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []),
+    ]
     say("\n".join(lines))
     if whole["reservation"]:
         warn(f"{name}: {whole['reservation']}")

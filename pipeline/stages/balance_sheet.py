@@ -14,7 +14,7 @@ from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
 from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
 from pipeline.ingest.source_units import SourceUnits
-from pipeline.reporting.balance import (
+from pipeline.reporting.balance_tables import (
     describe_sheet,
     print_fewer,
     print_sheet,

@@ -14,8 +14,7 @@ from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.report.content import FitContent, ReportContent, describe_origin, read_reference, read_tables
-from pipeline.reporting.report.page import write_page
-from pipeline.reporting.report.pdf import write_pdf
+from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

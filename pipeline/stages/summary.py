@@ -12,7 +12,8 @@ from pipeline.identification.restored import Answer
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say
 from pipeline.reporting.fit_tables import list_numbers
-from pipeline.reporting.summary import Results, ShownRun, draw_summary, write_summary
+from pipeline.reporting.summary import Results, ShownRun, write_summary
+from pipeline.reporting.summary_figure import draw_summary
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, load_modelled, restore

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.figure import GREY, LOOKS, NOTHING, Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import GREY, LOOKS, NOTHING, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 
 _PANELS = {

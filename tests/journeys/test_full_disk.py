@@ -24,7 +24,7 @@ from pipeline.data.tables import write_table
 from pipeline.errors import DataError, StorageError
 from pipeline.files import write_beside, write_json
 from pipeline.identification.storage import load_model, save_model
-from pipeline.reporting.figure import Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import restore

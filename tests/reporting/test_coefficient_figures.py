@@ -11,8 +11,8 @@ import pytest
 from warm_rotor import CELSIUS, SPEEDS, warm_bearings, warm_machine
 
 from pipeline.reporting import coefficient_figures, measured_figures
+from pipeline.reporting.blocks import Curve, Figure
 from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients, pick_states
-from pipeline.reporting.figure import Curve, Figure
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.measured_figures import draw_bode
 

@@ -14,12 +14,10 @@ from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.tacho import fit_angle
-from pipeline.reporting.figure import Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.blocks import Amplitude, Axes, Curve, Figure, HeatMap, Mark, Panel, Section, Table, typeset
 from pipeline.reporting.measured_figures import find_lag
-from pipeline.reporting.report.page import write_page
-from pipeline.reporting.report.pdf import write_pdf
+from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.twin import find_peak
-from pipeline.reporting.tables import Amplitude, Mark, Section, Table, typeset
 from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)

@@ -22,9 +22,9 @@ from pipeline.errors import DataError
 from pipeline.files import hash_file
 from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
+from pipeline.reporting.blocks import Mark
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
-from pipeline.reporting.tables import Mark
 from pipeline.twin.modes import WhirlModes
 from pipeline.twin.twin import Twin
 
@@ -185,12 +185,12 @@ _TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
 
 def read_tables(folder: Path) -> dict[str, Mapping[str, np.ndarray]]:
     """The tables of the experiment that are there and have a row."""
-    tables: dict[str, Mapping[str, np.ndarray]] = {}
-    for name, (columns, optional) in _TABLES.items():
-        path = folder / f"{name}.csv"
-        if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1:
-            tables[name] = read_table(path, columns, optional)
-    return tables
+    paths = {name: folder / f"{name}.csv" for name in _TABLES}
+    return {
+        name: read_table(path, *_TABLES[name])
+        for name, path in paths.items()
+        if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1
+    }
 
 
 def read_reference(path: Path) -> dict[str, np.ndarray]:
@@ -210,21 +210,17 @@ def describe_origin(
     config: Config, measurement: Measurement, files: Sequence[Path], versions: Mapping[str, str]
 ) -> dict[str, str]:
     """The command, fingerprints of data, rotor and ``files``, and the ``versions`` of the program and its packages."""
-    recordings = config.machine.recordings
+    recordings, reference = config.machine.recordings, config.report.reference
+    sources = dict.fromkeys(source for run in recordings.runs for source in run.sources(recordings.file))
+    changed = " with changes" if versions.get("git.dirty") == "true" else ""
     origin = {
         "command": f"python -m pipeline stage=report {config.chosen}",
         "fingerprint of the data": measurement.dataset.fingerprint,
+        "fingerprint of the rotor": measurement.rotor.fingerprint,
+        **{path.name: f"sha256 {hash_file(path)}" for path in files if path.exists()},
+        **{str(source): f"sha256 {hash_file(Path(source)) or 'not at hand'}" for source in sources},
+        **({} if reference is None else {"reference": f"{reference}, sha256 {hash_file(Path(reference))}"}),
+        **{name.removeprefix("version."): text for name, text in versions.items() if name.startswith("version.")},
     }
-    origin |= {"fingerprint of the rotor": measurement.rotor.fingerprint}
-    for path in files:
-        if path.exists():
-            origin[path.name] = f"sha256 {hash_file(path)}"
-    for source in dict.fromkeys(s for measured in recordings.runs for s in measured.sources(recordings.file)):
-        origin[str(source)] = f"sha256 {hash_file(Path(source)) or 'not at hand'}"
-    if config.report.reference is not None:
-        origin["reference"] = f"{config.report.reference}, sha256 {hash_file(Path(config.report.reference))}"
-    origin |= {name.removeprefix("version."): text for name, text in versions.items() if name.startswith("version.")}
-    if "git.revision" in versions:
-        changed = " with changes" if versions.get("git.dirty") == "true" else ""
-        origin["revision of the program"] = versions["git.revision"][:12] + changed
-    return origin
+    revision = versions.get("git.revision")
+    return origin | ({} if revision is None else {"revision of the program": revision[:12] + changed})

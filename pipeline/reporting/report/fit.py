@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating import name_state, split_states
+from pipeline.reporting.blocks import GREEN, LOOKS, NOTHING, RPM, Axes, Block, Curve, Figure, Panel, Table, mark
 from pipeline.reporting.coefficient_figures import (
     KINDS,
     UNITS,
@@ -23,11 +24,9 @@ from pipeline.reporting.coefficient_figures import (
     list_states,
     space_evenly,
 )
-from pipeline.reporting.figure import GREEN, LOOKS, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent
-from pipeline.reporting.tables import Block, Table
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
 
@@ -70,33 +69,40 @@ def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
 def _draw_values(
     content: ReportContent, fit: FitContent, states: list[tuple[str, Coefficients]], letter: str
 ) -> Figure:
-    shown, over = fit.coefficients, f"{KINDS[letter].capitalize()} over the speed: "
+    shown = fit.coefficients
     if shown.identified.operating:
         asked = GREEN if states[-1][1] is fit.at_conditions else ""
         panels = draw_state_panels(states, letter, False, asked) if shown.choose(letter) else []
-        over += "a panel a coefficient, a colour a state of the operating conditions"
+        said = "a panel a coefficient, a colour a state of the operating conditions"
     else:
         panels = [
             _add_reference(draw_bearing(shown, b, letter), content.reference, node, letter)
             for b, node in enumerate(shown.identified.nodes)
         ]
-        over += "markers are identified (dashed where known)"
-        over += ", filled markers the reference" if content.reference else ""
-    over += ", bands hold the nominal 95 %" if shown.stated else ""
-    over += ", black lines are the modelled truth" if shown.compared else ""
-    return Figure(KINDS[letter], over + ".", panels)
+        said = "markers are identified (dashed where known)"
+        said += ", filled markers the reference" if content.reference else ""
+    stated = ", bands hold the nominal 95 %" if shown.stated else ""
+    true = ", black lines are the modelled truth" if shown.compared else ""
+    return Figure(KINDS[letter], f"{KINDS[letter].capitalize()} over the speed: {said}{stated}{true}.", panels)
 
 
 def _add_reference(panel: Panel, reference: Mapping[str, np.ndarray], node: int, letter: str) -> Panel:
     """The panel of a bearing with the coefficients that are compared with."""
-    curves, names = list(panel.axes[0].curves), [name for name in COEFFICIENTS if name[0] == letter]
-    for name, (colour, marker) in zip(names, LOOKS, strict=False):
-        if name in reference:
-            rows = reference["bearing_node"] == node
-            given = UNITS[letter][0] * reference[name][rows]
-            rpm, label = reference["speed_rpm"][rows], f"{name} reference"
-            curves.append(Curve(rpm, given, label, colour, "none", marker, full=True))
-    return replace(panel, axes=[replace(panel.axes[0], curves=curves)])
+    names, rows = [name for name in COEFFICIENTS if name[0] == letter], reference.get("bearing_node", NOTHING) == node
+    curves = [
+        Curve(
+            reference["speed_rpm"][rows],
+            UNITS[letter][0] * reference[name][rows],
+            f"{name} reference",
+            colour,
+            "none",
+            marker,
+            full=True,
+        )
+        for name, (colour, marker) in zip(names, LOOKS, strict=False)
+        if name in reference
+    ]
+    return replace(panel, axes=[replace(panel.axes[0], curves=[*panel.axes[0].curves, *curves])])
 
 
 def _list_coefficients(label: str, shown: Coefficients) -> Table:
@@ -192,15 +198,14 @@ def _write_quality(content: ReportContent) -> str:
         return f"{outcome} {left} Its loss weighs no noise, so there is no chi-square."
     square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
     ratio = float(np.sqrt(square["value"] / square["expected"]))
-    text = (
+    explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
+    explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
+    return (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{ratio:.2f} times as far off as their noise. Neighbouring residuals correlate by "
         f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
-        "deviations). "
+        f"deviations). {explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
     )
-    explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
-    explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
-    return text + f"{explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
 
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
@@ -239,8 +244,8 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
             below.append(Curve(rpm, size[points], "", **look))
         unit = "residual / noise" if stated else "residual (%)"
         panels.append(Panel(probe.name, RPM, [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, unit)]))
-    caption = "Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual "
-    caption += "over the root mean square of its noise." if stated else "in percent of the root mean square reading."
+    share = "over the root mean square of its noise" if stated else "in percent of the root mean square reading"
+    caption = f"Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual {share}."
     return Figure(name, caption, panels)
 
 

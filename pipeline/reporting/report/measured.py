@@ -13,7 +13,25 @@ from pipeline.data.dataset import Excitation, synchronous
 from pipeline.data.operating import split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.full_spectrum import FullSpectra
-from pipeline.reporting.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RPM, Axes, Curve, Figure, HeatMap, Panel
+from pipeline.reporting.blocks import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RPM,
+    Amplitude,
+    Axes,
+    Block,
+    Cell,
+    Curve,
+    Figure,
+    HeatMap,
+    Mark,
+    Panel,
+    Table,
+)
 from pipeline.reporting.measured_figures import (
     AMPLITUDE,
     BODE,
@@ -24,7 +42,6 @@ from pipeline.reporting.measured_figures import (
     pick_speeds,
 )
 from pipeline.reporting.report.content import ReportContent, View
-from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Table
 from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6
@@ -62,12 +79,13 @@ def _draw_sketch(content: ReportContent) -> Figure:
         (acting["unbalance"], 1.25, "weights", ORANGE, "s", {}),
         (acting["force"], 1.45, "forces", PURPLE, "s", {}),
     )
-    for nodes, height, label, colour, marker, look in marks:
-        places = np.full(len(nodes), height)
-        curves += [Curve(x[nodes], places, label, colour, "none", marker, **look)] if nodes else []
+    curves += [
+        Curve(x[nodes], np.full(len(nodes), height), label, colour, "none", marker, **look)
+        for nodes, height, label, colour, marker, look in marks
+        if nodes
+    ]
     caption = "The machine as it is modelled; radii are drawn larger than lengths. Dots are nodes."
-    if not probes:
-        caption += " Probes see x and y at every node."
+    caption += "" if probes else " Probes see x and y at every node."
     return Figure(
         "sketch",
         caption,
@@ -137,20 +155,25 @@ def describe_weight(magnitude: float, phase: float) -> str:
 
 def describe_measured(content: ReportContent) -> list[Block]:
     """1X vectors of the probes, before any fit."""
-    text = "All figures here show readings, not the model."
-    if content.baseline() is not None:
-        text += (
-            f" The run {content.config.data.baseline} is the machine as it was found. It is subtracted from the other "
-            "runs that turn with the rotor, and with it residual unbalance and runout."
-        )
-    left = len(content.probes) - len(content.shown_probes), len(content.dataset.runs) - len(content.shown_runs)
-    for number, name in zip(left, ("probes", "runs"), strict=True):
-        if number:
-            text += f" {number} further {name} are not shown."
-    notes = content.files.get("ingest", {}).get("notes", [])
+    subtracted = (
+        f"The run {content.config.data.baseline} is the machine as it was found. It is subtracted from the other runs "
+        "that turn with the rotor, and with it residual unbalance and runout."
+    )
+    left = {
+        "probes": len(content.probes) - len(content.shown_probes),
+        "runs": len(content.dataset.runs) - len(content.shown_runs),
+    }
+    sentences = [
+        "All figures here show readings, not the model.",
+        *([] if content.baseline() is None else [subtracted]),
+        *(f"{number} further {name} are not shown." for name, number in left.items() if number),
+    ]
     return [
-        text,
-        *(Mark("warning", f"{note[:1].upper()}{note[1:]}.") for note in notes),
+        " ".join(sentences),
+        *(
+            Mark("warning", f"{note[:1].upper()}{note[1:]}.")
+            for note in content.files.get("ingest", {}).get("notes", [])
+        ),
         _list_peaks(content),
         _draw_bode(content),
         _draw_polar(content),

@@ -9,12 +9,12 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
+from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.content import ReportContent
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
-from pipeline.reporting.tables import Block, Cell, Mark, Section, Table
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
 
@@ -53,8 +53,8 @@ def describe_verdicts(content: ReportContent) -> list[Block]:
     machine = judged.get("machine")
     if machine:
         why = " ".join(text for text in (machine.get("reason"), machine.get("next")) if text)
-        said = f"The machine as a whole: {machine['verdict']}. {why}"
-        said += f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
+        felt = f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
+        said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
         blocks.append(Mark("warning" if machine["verdict"] != "good" else "", said))
     for caption, key in (("Bearings", "bearings"), ("Coefficients", "verdicts")):
         rows = [_write_verdict(entry) for entry in judged.get(key, [])]
@@ -75,9 +75,9 @@ def describe_numbers(content: ReportContent) -> list[Block]:
     numbers = list_numbers(training.get("physical_numbers", {}), content.config)
     if not numbers:
         return []
-    contradicted = any(map(list_contradicted, training.get("correction", {}).values()))
-    against = find_contradiction(training, kind) is not None or contradicted
-    corrected = ", times what a network corrects" if training.get("correction") else ""
+    corrections = training.get("correction", {})
+    against = find_contradiction(training, kind) is not None or any(map(list_contradicted, corrections.values()))
+    corrected = ", times what a network corrects" if corrections else ""
     return [
         f"All coefficients over speed and operating conditions follow from these numbers{corrected}.",
         tabulate_numbers("Found, +- one standard deviation", numbers),
@@ -176,15 +176,12 @@ def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
     Without the place of the tacho they are as they are.
     """
     recordings = content.config.machine.recordings
-    counted = {
-        "with_rotation": "are from the tacho mark, with the rotation",
-        "against_rotation": "are from the tacho mark, against the rotation",
-    }.get(recordings.shaft_angle or "", "are from x towards y, at the tacho pulse")
-    if recordings.tacho.angle is None:
-        return (1.0, 0.0), counted
-    tacho = float(np.degrees(recordings.tacho.angle))
-    turns = {"with_rotation": (1.0, -tacho), "against_rotation": (-1.0, tacho)}
-    return turns.get(recordings.shaft_angle or "", (1.0, 0.0)), counted
+    tacho, as_they_are = float(np.degrees(recordings.tacho.angle or 0.0)), (1.0, 0.0)
+    turn, counted = {
+        "with_rotation": ((1.0, -tacho), "are from the tacho mark, with the rotation"),
+        "against_rotation": ((-1.0, tacho), "are from the tacho mark, against the rotation"),
+    }.get(recordings.shaft_angle or "", (as_they_are, "are from x towards y, at the tacho pulse"))
+    return as_they_are if recordings.tacho.angle is None else turn, counted
 
 
 def describe_conventions(content: ReportContent) -> Table:

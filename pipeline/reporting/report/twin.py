@@ -13,7 +13,7 @@ from pipeline.data.dataset import synchronous
 from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.figure import (
+from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
     DASHES,
@@ -22,16 +22,20 @@ from pipeline.reporting.figure import (
     NOTHING,
     ORANGE,
     RPM,
+    Amplitude,
     Axes,
+    Block,
+    Cell,
     Curve,
     Figure,
+    Mark,
     Panel,
+    Table,
     mark,
 )
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.measured import describe_weight
-from pipeline.reporting.tables import Amplitude, Block, Cell, Mark, Table
 from pipeline.reporting.twin import CRITICAL, list_critical
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
@@ -47,12 +51,12 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
         return []
     stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
     verdict = stability.get("verdict", "stable" if stability["stable"] else "unstable")
-    said = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}.get(verdict)
+    told = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
     at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
-    text = f"The identified machine is {said or 'UNSTABLE'} {_name_range(rpm)}{at}; "
-    text += f"the largest growth rate is {growth} 1/s."
+    said = f"{told.get(verdict, 'UNSTABLE')} {_name_range(rpm)}{at}"
+    text = f"The identified machine is {said}; the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
         decrement = write_number(least, stability.get("smallest_logarithmic_decrement_std"), 3)
@@ -171,8 +175,12 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
     ``speed_tolerance`` is in percent of the predicted critical speed (API 617, unbalanced rotor response verification).
     """
     data, rows = content.dataset, []
-    turning = [r for r in content.shown_runs if synchronous(data.frequencies[:, r], data.speeds).all()]
-    excited = [r for r in turning if all(acting.kind == "unbalance" for acting in data.excitation_of(r))]
+    excited = [
+        r
+        for r in content.shown_runs
+        if synchronous(data.frequencies[:, r], data.speeds).all()
+        and all(acting.kind == "unbalance" for acting in data.excitation_of(r))
+    ]
     for r, probe in itertools.product(excited, content.shown_probes):
         for _, points, look in content.traces(r):
             rpm = content.rpm[points]
@@ -198,14 +206,13 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
             rows.append(row)
     if not rows:
         return ["No unbalance run has a response peak inside the speed range: there is nothing to verify."]
-    header = ["run", "probe", "peak, rpm", "predicted, rpm", "off, %"]
-    header += ["amplitude, µm pk-pk", "predicted, µm pk-pk", "verdict"]
     text = (
         "Each row is a response peak inside the speed range. As in API 617's verification test, the measured peak must "
         f"lie within {speed_tolerance:g} % of the predicted speed, and must not be higher than predicted (here: by "
         "more than two deviations of the noise and 5 %). Runs that were fitted verify less than runs that were not."
     )
-    return [text, Table("Unbalanced rotor response verification", header, rows)]
+    header = ["run", "probe", "peak, rpm", "predicted, rpm", "off, %", "amplitude, µm pk-pk", "predicted, µm pk-pk"]
+    return [text, Table("Unbalanced rotor response verification", [*header, "verdict"], rows)]
 
 
 def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
@@ -220,10 +227,9 @@ def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
         f"node {unbalance.node}: {describe_weight(unbalance.magnitude, unbalance.phase)}"
         for unbalance in asked.unbalances
     )
-    state = name_state(fit.twin.operating)
-    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting})"
-    caption += f", at {state}" if state else ""
-    caption += ", with its nominal 95 % band." if any(len(c.band) for c in curves) else "; this fit states no band."
+    at = f", at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+    stated = ", with its nominal 95 % band" if any(len(c.band) for c in curves) else "; this fit states no band"
+    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting}){at}{stated}."
     return (
         [
             Figure(

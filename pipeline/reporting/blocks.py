@@ -1,15 +1,19 @@
-"""A figure as a value: panels of curves over axes with units, in colour-blind safe colours.
+"""What is shown, as values: figures, tables and sentences, alike on the terminal, in Markdown, on the page, in the PDF.
 
-Matplotlib draws it for PNG files and the PDF (``matplotlib_figures``), plotly for the page (``report.page``). What is
-modelled is a line, what is identified markers. What has no finite number is neither drawn nor named.
+A figure is panels of curves over axes with units, in colour-blind safe colours. Matplotlib draws it for PNG files and
+the PDF (``matplotlib_figures``), plotly for the page (``report.files``). What is modelled is a line, what is identified
+markers. What has no finite number is neither drawn nor named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+
+from pipeline.write_numbers import write_number
 
 # Okabe and Ito's palette.
 BLUE, ORANGE, GREEN, PURPLE, SKY, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#555555"
@@ -20,6 +24,8 @@ DASHES = ("solid", "dash", "dashdot", "dot")
 RPM = "rotor speed (rpm)"
 MICROMETRES = 1e6
 """What a place in m is multiplied by, unless the reader chooses another unit."""
+MICROMETRES_PEAK_TO_PEAK = 2e6
+"""What an amplitude in m, zero-to-peak, is multiplied by, unless the reader chooses another unit."""
 NOTHING = np.empty(0)
 
 
@@ -138,10 +144,11 @@ class Panel:
         """Whether the panel is a polar plot."""
         return not np.isnan(self.polar)
 
-    def list_keys(self) -> list[Curve]:
-        """The curves that a legend names, each label once, the first of them."""
-        curves = [curve for axes in self.axes for curve in axes.curves if curve.label and curve.shown]
-        return list({curve.label: curve for curve in curves[::-1]}.values())[::-1]
+
+def list_keys(panels: Sequence[Panel]) -> list[Curve]:
+    """The curves of panels that a legend names, each label once, the first of them."""
+    curves = [curve for panel in panels for axes in panel.axes for curve in axes.curves if curve.label and curve.shown]
+    return list({curve.label: curve for curve in curves[::-1]}.values())[::-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,5 +162,62 @@ class Figure:
 
     def legend(self) -> list[Curve]:
         """What the legend of all panels names, but of those that have their own."""
-        curves = [curve for panel in self.panels if not panel.legend for curve in panel.list_keys()]
-        return list({curve.label: curve for curve in curves[::-1]}.values())[::-1]
+        return list_keys([panel for panel in self.panels if not panel.legend])
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """A cell with an amplitude in m, zero-to-peak, which the page shows in the reader's unit; else in µm pk-pk."""
+
+    value: float
+    deviation: float = 0.0
+
+    def __str__(self) -> str:
+        """In µm, peak-to-peak."""
+        scale = MICROMETRES_PEAK_TO_PEAK
+        return write_number(scale * self.value, scale * self.deviation or None)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Text with a look: a cell is ``good``, ``with care`` or ``no``, a paragraph a ``warning`` (or none)."""
+
+    kind: str
+    text: str
+
+    def __str__(self) -> str:
+        """The words alone."""
+        return self.text
+
+
+Cell = str | Amplitude | Mark
+
+
+class Table(NamedTuple):
+    """Rows below a header; ``caption`` says what they are, and their units where the header does not."""
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+    def without_blank(self) -> Table:
+        """The same without the columns in which nothing stands; all of them where there is no row."""
+        keep = [c for c in range(len(self.header)) if not self.rows or any(str(row[c]) for row in self.rows)]
+        return Table(self.caption, [self.header[c] for c in keep], [[row[c] for c in keep] for row in self.rows])
+
+
+def format_markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """Write a table as Markdown, for a file."""
+    lines = ["| " + " | ".join(map(str, cells)) + " |\n" for cells in (header, *rows)]
+    return "".join([lines[0], "|" + "---|" * len(header) + "\n", *lines[1:]])
+
+
+Block: TypeAlias = str | Mark | Table | Figure
+"""A paragraph is one or more sentences."""
+Section: TypeAlias = tuple[str, str, Sequence[Block]]
+"""A part of the report: its name in links, its title, and what stands in it."""
+
+
+def typeset(text: object) -> str:
+    """What the terminal says, as a page prints it."""
+    return str(text).replace("+-", "±")

@@ -1,0 +1,121 @@
+"""The one picture of an experiment: coefficients, a run as measured and predicted, and the twin's response."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.data.vibration_files import to_rpm
+from pipeline.reporting.blocks import (
+    BLUE,
+    GREEN,
+    GREY,
+    LOOKS,
+    MICROMETRES,
+    NOTHING,
+    ORANGE,
+    PURPLE,
+    RPM,
+    Axes,
+    Curve,
+    Figure,
+    Panel,
+    mark,
+)
+from pipeline.reporting.coefficient_figures import KINDS, Coefficients
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.summary import Results, name_channel
+from pipeline.reporting.twin import measure_sizes
+from pipeline.units import RAD_S_PER_RPM
+
+_AMPLITUDE = "amplitude (µm, zero-to-peak)"
+
+
+def draw_summary(path: Path, results: Results, title: str) -> Path:
+    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
+
+    Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
+    """
+    label = ""
+    if results.dataset.operating:
+        label, results = results.nearest()
+    beside = f", {label}" if label else ""
+    panels = [_draw_coefficients(results.coefficients, letter, beside) for letter in "kc"]
+    panels += [_draw_run(results, beside), _draw_response(results)]
+    return write_figure(path, Figure("summary", title, panels))
+
+
+def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
+    """A colour a coefficient, a marker a bearing; what is known is dashed."""
+    some, nodes = shown.choose(letter), shown.identified.nodes
+    names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
+    curves = []
+    for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
+        for b, node in enumerate(nodes):
+            look = (colour, LOOKS[b % 5][1])
+            curves += shown.draw(b, name, f"{name}, node {node}", look, 1.0)
+    values = np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
+    positive, several = values.min() > 0, values.max() > 5 * values.min()
+    # Noise of an axis that starts at its curves would look like a finding.
+    reach = (0.0, 1.15 * float(values.max())) if positive and not several else ()
+    scaled = "log" if positive and several else "linear"
+    known = "" if some else " (known, not identified)"
+    return Panel(
+        f"{KINDS[letter]} of the bearings{known}{beside}",
+        RPM,
+        [Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)],
+        legend=True,
+    )
+
+
+def _draw_run(results: Results, beside: str) -> Panel:
+    """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
+    shown = results.shown
+    at = shown.measured.any(axis=1)  # points that the run was measured at
+    rpm = to_rpm(results.dataset.speeds)[at]
+    measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
+    label = "measured (modelled data)" if results.coefficients.compared else "measured"
+    fitted = "not fitted" if shown.held_out else "fitted"
+    title = f"run {shown.name} ({fitted}), {name_channel(results.dataset.channels[shown.probe])}{beside}"
+    return Panel(
+        title,
+        RPM,
+        [
+            Axes(
+                [
+                    mark(rpm, measured, label, BLUE, count=60),
+                    Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
+                ],
+                _AMPLITUDE,
+                scale="log",
+            )
+        ],
+        legend=True,
+    )
+
+
+def _draw_response(results: Results) -> Panel:
+    """The response to the unbalance that no run has, and the critical speeds."""
+    identified, modelled, rpm = (
+        results.twin.vibration["identified"],
+        results.twin.vibration.get("modelled"),
+        results.rpm,
+    )
+    curves, (sizes, deviations) = [], measure_sizes(identified)
+    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
+        size, label = sizes[:, d], f"{direction} predicted"
+        if modelled is None:
+            curves.append(Curve(rpm, size, label, colour, dash))
+        else:
+            true = measure_sizes(modelled)[0][:, d]
+            curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
+        curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
+    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
+    if critical:
+        curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
+    title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"
+    return Panel(
+        title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
+    )
