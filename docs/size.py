@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 586,
     "comparison": 159,
     "tuning": 559,
-    "reporting": 2706,
+    "reporting": 2455,
     "tracking": 376,
     "stages": 1198,
     "beside the rooms": 479,
@@ -44,10 +44,10 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18121, 14500),
-    "files": (293, 250),
-    "classes": (338, 260),
-    "is None, is not None": (354, 420),
+    "statements of pipeline/": (17911, 14500),
+    "files": (285, 250),
+    "classes": (336, 260),
+    "is None, is not None": (352, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (57, 150),
     "bindings named by empty words": (120, 200),

@@ -37,8 +37,13 @@ def _sections() -> list[Section]:
     table = Table(
         "rows", ["what", "size", "verdict"], [["a & b", Amplitude(3e-6, 1e-7), Mark("with care", "with care")]]
     )
-    blocks = (Mark("warning", "Words < here."), table, Figure("f", "Caption.", panels))
-    return [("one", "First </script> section", blocks)]
+    return [
+        (
+            "one",
+            "First </script> section",
+            (Mark("warning", "Words < here."), table, Figure("f", "Caption.", panels)),
+        )
+    ]
 
 
 @pytest.fixture(scope="module")
