@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pipeline.data.noise import NoiseModel as NoiseModel
+    from pipeline.data.sensors import NoiseModel as NoiseModel
     from pipeline.identification.fit import default_setup as default_setup
     from pipeline.identification.fit import fit as fit
     from pipeline.problem.measurement import Guess as Guess
@@ -19,7 +19,7 @@ __version__ = "0.1.0"
 _DOORS = {
     "Guess": "pipeline.problem.measurement",
     "Measurement": "pipeline.problem.measurement",
-    "NoiseModel": "pipeline.data.noise",
+    "NoiseModel": "pipeline.data.sensors",
     "default_setup": "pipeline.identification.fit",
     "fit": "pipeline.identification.fit",
 }

@@ -14,7 +14,7 @@ from running import composed
 from pipeline.coefficients import CoefficientName
 from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.data.dataset import Excitation
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.identification.fit import default_setup
 from pipeline.identification.training import FitSetup

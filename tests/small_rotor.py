@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable

@@ -23,7 +23,7 @@ import numpy as np
 
 from pipeline.config.balance import ANY, BalancePlaneConfig, WeightsConfig
 from pipeline.errors import ConfigError
-from pipeline.ingest.source_units import SourceUnits
+from pipeline.ingest.conventions import SourceUnits
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree

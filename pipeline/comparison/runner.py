@@ -13,8 +13,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.cache import hash_parts
-from pipeline.comparison.cases import Case, Machine
-from pipeline.comparison.result import Result, judge_method
+from pipeline.comparison.cases import Case, Machine, Result, judge_method
 from pipeline.config.comparison import MethodName
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import read_json, write_json

@@ -18,8 +18,7 @@ from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
 from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
-from pipeline.data.simulate import simulate
-from pipeline.data.time_integration import integrate
+from pipeline.data.simulate import integrate, simulate
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParameter, update_rotor

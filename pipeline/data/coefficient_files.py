@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.operating_points import (
+from pipeline.data.operating import (
     Operating,
     describe_point,
     list_columns,

@@ -1,16 +1,21 @@
-"""Operating conditions beside the speed: which points share them, and how an engineer writes them.
+"""Operating conditions beside the speed: which points share them, how an engineer writes them, and their tables.
 
-Legend: S operating points.
+Legend: S operating points, n rows of a table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.operating import column_of
+from pipeline.config.operating import ConditionColumn, column_of, find_columns
 from pipeline.config.quantities import from_base
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.tables import PLAIN, Columns, CsvConfig, read_table
+from pipeline.errors import DataError
 
 _SHOWN = {"Pa": ("bar", "bar"), "percent": ("percent", "%")}
 """By the unit of files: the one that is shown, and how it is written, where these differ."""
@@ -81,3 +86,120 @@ def write_condition(name: str, values: np.ndarray | float) -> str:
     if name.rpartition("_")[2] in _PLAIN:
         return text
     return f"{name.removesuffix(f'_{written}').replace('_', ' ')} {text}"
+
+
+# --- points: in tables, in their order, joined where they are the same ----------------------------
+
+
+Operating = Mapping[str, np.ndarray]
+"""Name of a condition -> its value at each point, SI."""
+
+
+def read_with_conditions(
+    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: CsvConfig = PLAIN
+) -> tuple[Columns, dict[str, np.ndarray]]:
+    """A table as :func:`pipeline.data.tables.read_table`, and its operating conditions (n,), SI; NaN where it is blank.
+
+    Raises DataError also for a condition without a unit, with one of another dimension, or below absolute zero.
+    """
+    declared = dict(columns) | dict(optional or {})
+    conditions: dict[str, ConditionColumn] = {}
+
+    def list_further(names: list[str]) -> dict[str, str]:
+        try:
+            conditions.update(find_columns(names, tuple(declared)))
+        except ValueError as error:
+            raise DataError(f"'{path}' {error}") from None
+        return dict(optional or {}) | {one.column: "number or blank" for one in conditions.values()}
+
+    table = read_table(path, columns, list_further, text)
+    operating = {name: one.to_si(table.pop(one.column)) for name, one in conditions.items()}
+    for name, condition in conditions.items():
+        cold = np.flatnonzero(operating[name] <= 0)
+        if len(cold) and column_of(name).unit in ("degC", "degF"):
+            raise DataError(
+                f"'{path}' must have temperatures above absolute zero in the column '{condition.column}', but row "
+                f"{cold[0] + 1} has {condition.from_si(operating[name][cold[:1]])[0]:g}"
+            )
+    return table, operating
+
+
+def require_complete(operating: Operating, path: Path, table: Columns) -> None:
+    """Raise DataError for a condition (n,) that is blank in some rows of the ``table``."""
+    for name, values in operating.items():
+        blank = np.flatnonzero(np.isnan(values))
+        if len(blank):
+            row = int(blank[0])
+            which = [f"run '{table['run'][row]}'"] if "run" in table else []
+            which += [f"{table['speed_rpm'][row]:g} rpm"] if "speed_rpm" in table else []
+            raise DataError(
+                f"'{path}' must have {name} in every row, but row {row + 1} has none ({', '.join(which)}; {len(blank)} "
+                "rows in all): complete it, or leave the column out"
+            )
+
+
+def list_columns(operating: Operating) -> dict[str, np.ndarray]:
+    """The columns (S,) that a table has the conditions of its points in, by name."""
+    columns = {name: column_of(name) for name in operating}
+    return {columns[name].column: columns[name].from_si(values) for name, values in operating.items()}
+
+
+def describe_point(operating: Operating, point: int, before: str = "") -> str:
+    """The conditions of a point as people read them, ``before`` in front; no words where there are none."""
+    return before + name_state({name: values[point] for name, values in operating.items()}) if operating else ""
+
+
+def describe_points(dataset: VibrationDataset) -> str:
+    """How many speeds there are, and where there are operating conditions how many points, and their ranges."""
+    count = len(np.unique(dataset.speeds))
+    if not dataset.operating:
+        return f"{count} speeds"
+    ranges = (f"{name} {write_condition(name, values)}" for name, values in dataset.operating.items())
+    return f"{len(dataset.speeds)} operating points ({count} speeds; {'; '.join(ranges)})"
+
+
+def round_digits(values: np.ndarray) -> np.ndarray:
+    """Values (S,) of nine digits: what two files say of one condition is the same then."""
+    return np.array([float(f"{value:.9g}") for value in values])
+
+
+def find_points(
+    speeds: np.ndarray, operating: Operating, same: Mapping[str, float] | None = None
+) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """The different points (S,) of rows (n,): speeds, conditions, and the point of each row (n,).
+
+    Ordered by the conditions, then by the speed. Conditions that differ by no more than ``same`` says (SI, by name) are
+    one state, with their mean.
+    """
+    values = [join(operating[name], (same or {}).get(name, 0.0)) for name in operating]
+    points, at = np.unique(np.stack([*values, speeds], axis=1), axis=0, return_inverse=True)
+    return points[:, -1], dict(zip(operating, points.T[:-1], strict=True)), at.ravel()
+
+
+def join(values: np.ndarray, within: float) -> np.ndarray:
+    """Values (n,), in their place the means of groups that span no more than ``within``; the lowest begins a group."""
+    if not within:
+        return values
+    different, at = np.unique(values, return_inverse=True)
+    group, first = np.zeros(len(different), dtype=int), different[0]
+    for i in range(1, len(different)):
+        begins = different[i] - first > within
+        group[i], first = group[i - 1] + begins, different[i] if begins else first
+    # Each reading counts once, in any order of the rows.
+    return np.asarray((np.bincount(group, different) / np.bincount(group))[group][at.ravel()])
+
+
+def spread_states(
+    speeds: np.ndarray, states: Mapping[str, Sequence[float]]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """All ``speeds`` at every combination of the ``states`` of each condition: speeds (S,) and conditions (S,)."""
+    grid = list(itertools.product(*(sorted(values) for values in states.values())))
+    conditions = {name: np.repeat([state[c] for state in grid], len(speeds)) for c, name in enumerate(states)}
+    return np.tile(speeds, len(grid)), conditions
+
+
+def group_rows(keys: np.ndarray) -> list[np.ndarray]:
+    """The indices of equal rows of ``keys`` (n, k), the group of the first row first."""
+    _, of = np.unique(keys, axis=0, return_inverse=True)
+    groups = [np.flatnonzero(of.ravel() == i) for i in range(of.max() + 1)]
+    return sorted(groups, key=lambda group: int(group[0]))

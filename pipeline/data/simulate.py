@@ -1,4 +1,15 @@
-"""Vibration of a modelled machine: its response to the excitation of every run and speed, and sensors' noise."""
+"""Vibration of a modelled machine: its response to the excitation of every run and speed, and sensors' noise.
+
+By :func:`integrate` it follows the equations of motion in time, from rest to the steady state at each speed,
+
+    M q'' + (C + W G) q' + K q = Re(F e^{jWt})
+
+by the method of Hilber, Hughes and Taylor (1977), which damps what the step does not resolve. No dynamic stiffness is
+made or solved: data of this kind do not come from the equations of the fit. One step of it is linear, ``z' = A z + b``,
+so a revolution is too, and so are many: their matrices are powers.
+
+Legend: S speeds, R runs, n lateral DOF, N steps a revolution, z = (q, h q', h^2 q''). SI units.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +18,12 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset, assemble_forces, group_runs
+from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.dynamic_stiffness import banded, solve
+from pipeline.rotor.dynamic_stiffness import assemble_systems, banded, solve
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
+from pipeline.units import RAD_S_PER_RPM
 
 
 def solve_response(
@@ -72,3 +85,82 @@ def add_noise(dataset: VibrationDataset, deviation: np.ndarray, generator: np.ra
     """The data set with circular complex noise, ``E|n|^2 = deviation^2``; ``deviation`` (S, P, R) in m."""
     parts = generator.standard_normal((2, *dataset.displacement.shape)) / np.sqrt(2.0)
     return replace(dataset, displacement=dataset.displacement + deviation * (parts[0] + 1j * parts[1]))
+
+
+# --- by integration in time -----------------------------------------------------------------------
+
+
+def integrate(
+    rotor: RotorModel, bearings: BearingTable, excitations: tuple[Excitation, ...], steps: int = 720
+) -> VibrationDataset:
+    """As :func:`pipeline.data.simulate.simulate`, of runs that turn with the rotor.
+
+    The error falls with the square of the ``steps`` a revolution.
+    Raises PipelineError where the vibration does not settle, as that of an unstable rotor.
+    """
+    runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
+    forces = assemble_forces(rotor, excitations, runs, bearings.speeds)
+    response = np.stack([_settle(rotor, bearings, s, forces[s], steps) for s in range(len(bearings.speeds))])
+    return show_everywhere(rotor, bearings, response, excitations)
+
+
+def _settle(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    s: int,
+    force: np.ndarray,
+    steps: int,
+    alpha: float = -0.05,
+    doublings: int = 12,
+    settled: float = 1e-6,
+) -> np.ndarray:
+    """(n, R) complex 1X vectors of the steady state at the speed ``s``, of a ``force`` (n, R).
+
+    ``alpha`` is the method's damping. Before the reading
+    are two to the power ``doublings`` revolutions; a steady state changes by a share of ``settled`` at most.
+    """
+    speed, n = float(bearings.speeds[s]), rotor.n_dof
+    step, load = _one_step(rotor, bearings, s, 2 * np.pi / steps / speed, alpha)
+    turns = np.exp(2j * np.pi * np.arange(steps + 1) / steps)
+    shown = (1 + alpha) * turns[1:] - alpha * turns[:-1]  # the method's mean of two moments
+    pushed = np.einsum("k,nr->knr", shown, load @ force).real
+    state = np.zeros((3 * n, force.shape[1]))
+    for push in pushed:
+        state = step @ state + push
+    # From rest, one revolution leads to this state; m of them to (1 + P + .. + P^(m-1)) of it.
+    turn = np.linalg.matrix_power(step, steps)
+    before = state
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable rotor
+        for _ in range(doublings):
+            before, state = state, state + turn @ state
+            turn = turn @ turn
+        change = np.abs(state - before).max()
+    if not change <= settled * np.abs(state).max():
+        raise PipelineError(
+            f"the vibration must settle to be read, but at {speed / RAD_S_PER_RPM:g} rpm it still changes after "
+            f"{2**doublings} revolutions: use machine.as_built.method=frequency, or stable bearings"
+        )
+    total = np.zeros((n, force.shape[1]), dtype=complex)
+    for k, push in enumerate(pushed):
+        total += state[:n] * turns[k].conj()
+        state = step @ state + push
+    return 2 / steps * total  # least squares over a whole revolution
+
+
+def _one_step(
+    rotor: RotorModel, bearings: BearingTable, s: int, h: float, alpha: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix A (3 n, 3 n) of a step of ``h`` seconds, and (3 n, n) what a force adds."""
+    n = rotor.n_dof
+    mass, (damping,), (stiffness,) = assemble_systems(rotor, bearings.at(np.array([s])))
+    mass = mass.reshape(n, n)
+    beta, gamma, more = (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2, 1 + alpha
+    k, c = h**2 * stiffness, h * damping
+    system = mass + more * (gamma * c + beta * k)
+    now = np.hstack([k, c + more * k, more * ((1 - gamma) * c + (0.5 - beta) * k)])
+    last = np.linalg.solve(system, np.hstack([-now, h**2 * np.eye(n)]))
+    bent, load = last[:, : 3 * n], last[:, 3 * n :]
+    identity, none = np.eye(n), np.zeros((n, n))
+    first = np.hstack([identity, identity, (0.5 - beta) * identity]) + beta * bent
+    second = np.hstack([none, identity, (1 - gamma) * identity]) + gamma * bent
+    return np.vstack([first, second, bent]), np.vstack([beta * load, gamma * load, load])

@@ -27,7 +27,7 @@ from pipeline.data.dataset import (
     synchronous,
 )
 from pipeline.data.excitation_files import read_excitations, read_nodes
-from pipeline.data.operating_points import (
+from pipeline.data.operating import (
     describe_point,
     find_points,
     list_columns,

@@ -18,11 +18,12 @@ from pipeline.config.machine import MachineConfig
 from pipeline.evaluation.errors import (
     CoefficientError,
     CoefficientErrors,
+    NumberError,
     measure_coverage,
     measure_errors,
+    measure_numbers,
     measure_unmeasured,
 )
-from pipeline.evaluation.physical_numbers import NumberError, measure_numbers
 from pipeline.identification.answer import conclude
 from pipeline.identification.fit import fit_sensors
 from pipeline.identification.linear_start import start_at

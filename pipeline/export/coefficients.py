@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from pipeline.coefficients import COEFFICIENTS, is_stiffness
-from pipeline.data.operating import name_state
-from pipeline.data.operating_points import list_columns
+from pipeline.data.operating import list_columns, name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.rotor.bearing_table import BearingTable
 

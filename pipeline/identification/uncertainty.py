@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
 from pipeline.identification.blocks import Places, law_term

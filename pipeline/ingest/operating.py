@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import name_state
-from pipeline.data.operating_points import find_points, read_with_conditions, require_complete
+from pipeline.data.operating import find_points, name_state, read_with_conditions, require_complete
 from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.tracks import ROUNDING, RunTracks

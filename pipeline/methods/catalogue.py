@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, smoothed, spline
+from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
 from pipeline.methods.fem_nn import fit_by, fit_laws, fit_trained, improve_paper
 from pipeline.methods.method import Method
 
@@ -28,7 +28,7 @@ METHODS: dict[str, Method] = {
             "smoothed least squares",
             "Reinsch 1967; Craven, Wahba 1979; Wahba 1983",
             "the noise",
-            smoothed.solve_smoothed,
+            least_squares.solve_smoothed,
         ),
         Method(
             "tikhonov",

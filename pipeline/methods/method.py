@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.data.operating import split_states
-from pipeline.data.operating_points import group_rows
+from pipeline.data.operating import group_rows, split_states
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.laws.law_set import NO_LAWS, LawSet

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, levels_of, shrink, student_weights
 
 NAMED = 0.3

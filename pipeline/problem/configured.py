@@ -18,9 +18,8 @@ from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_bui
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
-from pipeline.data.noise import NoiseModel
-from pipeline.data.operating_points import Operating, group_rows, spread_states
-from pipeline.data.sensors import Channels, Sensors, list_directions, measure, name_channel
+from pipeline.data.operating import Operating, group_rows, spread_states
+from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions, measure, name_channel
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import NO_LAWS, make_laws

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
-from pipeline.data.candidates import Runs
+from pipeline.data.excitation_files import Runs
 from pipeline.errors import ConfigError, nearest
 from pipeline.laws.journal import JournalLaw
 from pipeline.laws.law_set import LawSet

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.condition_noise import NO_LEVELS, ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations

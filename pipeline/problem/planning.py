@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.candidates import Runs, list_candidates, scale_runs
 from pipeline.data.dataset import Excitation
+from pipeline.data.excitation_files import Runs, list_candidates, scale_runs
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.balance.unbalance import Estimates
-from pipeline.ingest.source_units import SourceUnits
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.reporting.blocks import BLUE, GREY, ORANGE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 

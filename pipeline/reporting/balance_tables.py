@@ -12,8 +12,8 @@ from pipeline.balance.records import PredictedRecords
 from pipeline.balance.sheet import BalanceSheet, Tolerance
 from pipeline.balance.unbalance import Estimates
 from pipeline.data.vibration_files import to_rpm
+from pipeline.ingest.conventions import GRAM_MILLIMETRE, SourceUnits
 from pipeline.ingest.records import Records
-from pipeline.ingest.source_units import GRAM_MILLIMETRE, SourceUnits
 from pipeline.reporting.console import say, table
 from pipeline.write_numbers import write_number
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
-from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import split_states
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.matplotlib_figures import write_figure

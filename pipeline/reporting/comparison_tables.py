@@ -13,8 +13,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from pipeline.comparison.cases import Case
-from pipeline.comparison.result import CoefficientResult, Result
+from pipeline.comparison.cases import Case, CoefficientResult, Result
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.blocks import Table, format_markdown
 from pipeline.write_numbers import write_number

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as ProgressBar
     from rich.progress import TaskID
 
-    from pipeline.comparison.result import Result
+    from pipeline.comparison.cases import Result
     from pipeline.identification.training import Progress
 
 StudyProgress = Callable[[int, "float | None"], None]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.operating_points import list_columns
+from pipeline.data.operating import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.combinations import WORTH, Combinations
 from pipeline.identification.quality import finite

@@ -10,11 +10,9 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.data.operating import write_condition
-from pipeline.data.operating_points import list_columns
+from pipeline.data.operating import list_columns, write_condition
 from pipeline.data.vibration_files import to_rpm
-from pipeline.evaluation.errors import CoefficientErrors
-from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
+from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, list_contradicted
 from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, read_determined

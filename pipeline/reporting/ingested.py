@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.config.measured import MeasuredConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating_points import describe_points, list_columns
+from pipeline.data.operating import describe_points, list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.dataset import MeasuredRuns
 from pipeline.reporting.console import say, table

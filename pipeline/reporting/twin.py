@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.operating import name_state
-from pipeline.data.operating_points import list_columns
+from pipeline.data.operating import list_columns, name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLACK,

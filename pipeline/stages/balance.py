@@ -12,7 +12,7 @@ from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
-from pipeline.ingest.source_units import SourceUnits
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.reporting.balance_figure import draw_balance
 from pipeline.reporting.balance_tables import print_estimates, tabulate_estimates
 from pipeline.reporting.console import say

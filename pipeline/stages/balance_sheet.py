@@ -13,7 +13,7 @@ from pipeline.balance.records import Readings, match_speeds
 from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
 from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
-from pipeline.ingest.source_units import SourceUnits
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.reporting.balance_tables import (
     describe_sheet,
     print_fewer,

@@ -10,13 +10,13 @@ from pipeline.data.tables import write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import (
     find_worst_mean,
+    judge_numbers,
     list_coverage,
     list_metrics,
     measure_errors,
     measure_unmeasured,
     model_unmeasured,
 )
-from pipeline.evaluation.physical_numbers import judge_numbers
 from pipeline.files import write_json
 from pipeline.identification.fit import loss_of
 from pipeline.identification.restored import Answer
@@ -35,7 +35,7 @@ from pipeline.reporting.training import draw_history
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore
-from pipeline.twin.superposition import compare_held_out
+from pipeline.twin.prediction import compare_held_out
 
 
 def run(analysis: Analysis) -> StageOutput:

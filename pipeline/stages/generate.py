@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.operating_points import describe_points
+from pipeline.data.operating import describe_points
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError

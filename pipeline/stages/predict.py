@@ -27,7 +27,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import ANSWER, load_modelled, restore
 from pipeline.stages.verdict import say_reservation
 from pipeline.twin.at_conditions import say_beyond
-from pipeline.twin.superposition import error_percent
+from pipeline.twin.prediction import error_percent
 from pipeline.twin.twin import Twin, build_twin, superpose_unseen
 
 

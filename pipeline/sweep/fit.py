@@ -4,7 +4,7 @@ The vectors are modelled as a sum of modes that respond to the ramp, and a slow 
 
     V(Omega) = sum_k A_k Q(w_k, z_k; Omega, alpha) + sum_i B_i (Omega / Omega_m)^i
 
-with Q of :mod:`pipeline.sweep.ramp`. B_0 is the runout, which turns with the shaft; the other powers stand for what
+with Q of :mod:`pipeline.sweep.bias`. B_0 is the runout, which turns with the shaft; the other powers stand for what
 further modes do below or above their own resonance. A_k and B_i (complex) are linear: they are solved for at each step
 of the search for w_k and z_k (variable projection, Golub and Pereyra 1973).
 
@@ -28,8 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pipeline.errors import DataError
-from pipeline.sweep.bias import SteadyReading, find_mode, read_peak
-from pipeline.sweep.ramp import decay_freely, respond_steadily, respond_to_ramp
+from pipeline.sweep.bias import SteadyReading, decay_freely, find_mode, read_peak, respond_steadily, respond_to_ramp
 from pipeline.units import RAD_S_PER_RPM
 
 Rows = np.ndarray | slice

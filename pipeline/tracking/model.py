@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
-from pipeline.data.operating_points import list_columns
+from pipeline.data.operating import list_columns
 from pipeline.identification.storage import load_model
 from pipeline.tracking.entries import StageRecord, flatten_parameters
 from pipeline.units import RAD_S_PER_RPM

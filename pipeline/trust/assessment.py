@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.schema import Config
-from pipeline.data.candidates import list_candidates
+from pipeline.data.excitation_files import list_candidates
 from pipeline.data.sensors import name_channel
-from pipeline.evaluation.physical_numbers import find_contradiction
+from pipeline.evaluation.errors import find_contradiction
 from pipeline.identification.fit import loss_of
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.quality import MISMATCH

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations
@@ -19,7 +19,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
 from pipeline.trust.misfit import Misfit, measure_misfit
-from pipeline.twin.superposition import find_shares
+from pipeline.twin.prediction import find_shares
 
 
 class Growth(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.problem.determination import Determination, Determined, measure_sizes
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence

@@ -23,8 +23,7 @@ from pipeline.rotor.stored import load_modelled_bearings, require_nodes
 from pipeline.twin.at_conditions import evaluate_at, mask_state, pick_middle, require_conditions, table_at
 from pipeline.twin.mode_deviations import Behaviour, deviate_modes
 from pipeline.twin.modes import find_modes
-from pipeline.twin.prediction import PredictedVibration, add_deviation, predict
-from pipeline.twin.superposition import find_shares
+from pipeline.twin.prediction import PredictedVibration, add_deviation, find_shares, predict
 
 OPERATING = "machine.prediction.operating"
 

@@ -30,7 +30,7 @@ from draw import TROUBLE, Drawn, draw_machine, measure_machine
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import write_vibration
 from pipeline.files import write_json
 from pipeline.rotor.bearing_table import BearingTable

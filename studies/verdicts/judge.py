@@ -27,7 +27,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import PipelineError
 from pipeline.files import write_json
 from pipeline.identification.fit import fit

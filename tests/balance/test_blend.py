@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from balancing import SIZE, KnownVibration, Truth, circular, know, truth
 
-from pipeline.balance.blend import Blend, blend
+from pipeline.balance.fitted import Blend, blend
 from pipeline.balance.influence import fit_influence
 from pipeline.data.conditions import Conditions
 

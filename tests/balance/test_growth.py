@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from balancing import GRAM, Truth, truth
 
-from pipeline.balance.blend import blend
 from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.fitted import blend
 from pipeline.balance.influence import design_of, fit_growth, fit_influence, inflation
 from pipeline.balance.unbalance import estimate_unbalance
 from pipeline.data.conditions import Conditions

@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
-from pipeline.comparison.cases import Case, Machine
-from pipeline.comparison.result import Result
+from pipeline.comparison.cases import Case, Machine, Result
 from pipeline.comparison.runner import MethodRun, compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pipeline.data.coefficient_files import read_coefficients, read_known, write_coefficients
 from pipeline.data.dataset import EVERYWHERE, Excitation, VibrationDataset
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.operating_points import join, spread_states
+from pipeline.data.operating import join, spread_states
 from pipeline.data.vibration_files import read_measured, write_vibration
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM

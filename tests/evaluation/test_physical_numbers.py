@@ -7,7 +7,7 @@ import math
 import pytest
 
 from pipeline.config.compose import compose_config
-from pipeline.evaluation.physical_numbers import find_true_numbers, measure_numbers
+from pipeline.evaluation.errors import find_true_numbers, measure_numbers
 
 OIL = ("machine=compressor_oil_temperatures", "model=law", "loss=response", "robustness=refits")
 

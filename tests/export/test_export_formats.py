@@ -17,7 +17,7 @@ from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, DataError, StorageError
 from pipeline.export.coefficients import Document, Exported, document, tabulate
-from pipeline.export.programs import write_ansys_file, write_apdl, write_dyrobes, write_workbook
+from pipeline.export.folder import write_ansys_file, write_apdl, write_dyrobes, write_workbook
 from pipeline.files import write_folder
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM

@@ -16,8 +16,7 @@ from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.export.coefficients import Document, Exported, Number, document, list_conventions, tabulate
-from pipeline.export.folder import list_states
-from pipeline.export.programs import write_dyrobes, write_workbook
+from pipeline.export.folder import list_states, write_dyrobes, write_workbook
 
 NUMBERS = [Number(name="node 8 radial clearance", value=99.9, std=0.07, unit="um")]
 

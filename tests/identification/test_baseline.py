@@ -13,8 +13,7 @@ from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
-from pipeline.data.noise import NoiseModel
-from pipeline.data.sensors import Sensors, list_directions, measure
+from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import fit_output_error, reweigh

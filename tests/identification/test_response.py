@@ -10,8 +10,7 @@ from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
-from pipeline.data.noise import NoiseModel
-from pipeline.data.sensors import Sensors, list_directions, measure, project
+from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.answer import conclude

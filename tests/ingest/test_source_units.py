@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.config.measured import NoRecordingsConfig
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.ingest.records import RecordsConfig
-from pipeline.ingest.source_units import SourceUnits
 
 TABLE = "name,rpm,acq,U_re,U_im,a_re,a_im\none,1000,1,3,4,1,2\ntwo,1500,1,-3,0.5,0.25,-7\n"
 

@@ -11,8 +11,7 @@ from measured_files import PROBES, probes_config, rotating, write_hdf5
 from reading import RPM, RUNS, VOLTS, waves, with_ingest
 
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
-from pipeline.sweep.bias import measure_bias
-from pipeline.sweep.ramp import respond_to_ramp
+from pipeline.sweep.bias import measure_bias, respond_to_ramp
 
 SAMPLES = 4000.0  # Hz
 CRITICAL, DAMPING = 1500.0, 0.03  # rpm, ratio

@@ -20,8 +20,7 @@ from reading import RUNS, read, seen
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.noise import NoiseModel
-from pipeline.data.sensors import Sensors, measure
+from pipeline.data.sensors import NoiseModel, Sensors, measure
 from pipeline.data.simulate import simulate
 from pipeline.errors import PipelineError
 from pipeline.ingest.plausibility import note_clipping, note_dead, note_size, note_whirl

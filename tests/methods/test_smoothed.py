@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
-from pipeline.methods.smoothed import _penalise, smooth_by_cross_validation, smooth_over_speed
+from pipeline.methods.least_squares import _penalise, smooth_by_cross_validation, smooth_over_speed
 
 
 def test_the_penalty_is_that_of_scipys_smoothing_spline() -> None:

@@ -11,7 +11,7 @@ import pytest
 from conftest import Run
 
 from pipeline.config.compose import compose_config
-from pipeline.data.candidates import list_candidates
+from pipeline.data.excitation_files import list_candidates
 from pipeline.data.simulate import add_noise
 from pipeline.errors import ConfigError
 from pipeline.problem.accuracy import RunInformation, reach, run_information, scale_to_limits

@@ -16,7 +16,7 @@ from conftest import Machine, MachineFactory, Run, bearings_of
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.identification.fit import fit

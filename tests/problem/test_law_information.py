@@ -11,7 +11,7 @@ import pytest
 import torch
 from small_rotor import SPEEDS, small_machine
 
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.errors import IdentifiabilityError
 from pipeline.laws.law_set import LawsConfig, make_laws
 from pipeline.problem.law_information import (

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.errors import ConfigError
 from pipeline.identification.readings import sensor_model
 from pipeline.problem.budget import systematic_shifts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from pipeline.evaluation.physical_numbers import find_contradiction
+from pipeline.evaluation.errors import find_contradiction
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.trust.verdict import Verdict, judge_contradiction
 

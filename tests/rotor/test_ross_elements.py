@@ -15,8 +15,7 @@ from conftest import refused
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.sensors import list_directions, project
-from pipeline.data.simulate import simulate
-from pipeline.data.time_integration import integrate
+from pipeline.data.simulate import integrate, simulate
 from pipeline.errors import ConfigError, DataError
 from pipeline.problem.residual import bearing_equations
 from pipeline.rotor.bearing_table import BearingTable

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from pipeline.config.rotor import RotorConfig
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.rotor.weight import GRAVITY, estimate_journals, find_static_loads
 
 MATERIAL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 
 
-def _rotor(nodes: list[int]):  # type: ignore[no-untyped-def]
+def _rotor(nodes: list[int]) -> RotorModel:
     shaft = [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}]
     discs = [{"node": 3, "mass": 20.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}]
     config = {"material": MATERIAL, "shaft": shaft, "discs": discs, "bearing_nodes": nodes, "shear_effects": True}

@@ -10,10 +10,10 @@ import scipy.linalg
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data import time_integration
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
 from pipeline.data.sensors import list_directions, measure, project
+from pipeline.data.simulate import integrate
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.repeats import summarize_refits
 from pipeline.problem.configured import (
@@ -186,7 +186,7 @@ def test_the_error_of_integration_falls_with_the_square_of_the_step() -> None:
     few, acting = truth.at(np.array([3, 5])), configure_excitations(config)
     errors = []
     for steps in (180, 360):
-        found = time_integration.integrate(rotor, few, acting, steps).displacement
+        found = integrate(rotor, few, acting, steps).displacement
         errors.append(np.abs(found - exact.displacement[[3, 5]]).max())
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
 
@@ -197,7 +197,7 @@ def test_an_unstable_machine_does_not_settle() -> None:
     rotor, truth, _ = model_machine(config)
     values = truth.values * np.array([1, 30, 30, 1, 1, 1, 1, 1])
     with pytest.raises(PipelineError, match="must settle to be read, but at 600 rpm"):
-        time_integration.integrate(rotor, replace(truth, values=values), configure_excitations(config))
+        integrate(rotor, replace(truth, values=values), configure_excitations(config))
 
 
 def test_a_cone_of_one_diameter_is_a_cylinder() -> None:

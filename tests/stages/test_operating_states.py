@@ -13,7 +13,7 @@ from small_rotor import small_machine
 
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.noise import NoiseModel
+from pipeline.data.sensors import NoiseModel
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 from pipeline.problem.configured import find_idle, model_machine

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import refused
 
+from pipeline.sweep.bias import respond_steadily, respond_to_ramp
 from pipeline.sweep.fit import (
     RunUp,
     choose_sense,
@@ -18,7 +19,6 @@ from pipeline.sweep.fit import (
     read_smoothed_peak,
     respond_as_steady,
 )
-from pipeline.sweep.ramp import respond_steadily, respond_to_ramp
 from pipeline.sweep.readings import Reading, combine, compare_natural_frequency
 
 RPM = np.pi / 30

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.sweep.bias import find_mode, find_slow_rate, measure_bias, read_peak, read_ramp
-from pipeline.sweep.ramp import respond_steadily, respond_to_ramp
+from pipeline.sweep.bias import (
+    find_mode,
+    find_slow_rate,
+    measure_bias,
+    read_peak,
+    read_ramp,
+    respond_steadily,
+    respond_to_ramp,
+)
 
 RPM = np.pi / 30
 FREQUENCY = 165.0

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from conftest import Run
 
-from pipeline.data.noise import NOMINAL_95
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import ConfigError
 
 ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"

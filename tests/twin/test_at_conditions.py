@@ -23,7 +23,7 @@ from pipeline.twin.at_conditions import (
 )
 from pipeline.twin.mode_deviations import deviate_modes
 from pipeline.twin.modes import find_modes
-from pipeline.twin.superposition import compare_held_out
+from pipeline.twin.prediction import compare_held_out
 
 KEY = "machine.prediction.operating"
 MEASURED = {"oil_temperature": np.repeat(CELSIUS, 2) + 273.15, "load": np.tile([500.0, 900.0], 3)}

@@ -14,7 +14,7 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
-from pipeline.twin.superposition import compare_held_out, error_percent, find_shares
+from pipeline.twin.prediction import compare_held_out, error_percent, find_shares
 
 FIRST = Excitation("first", "unbalance", 2, 1e-4, 0.0)
 SECOND = Excitation("second", "unbalance", 4, 2e-4, 1.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.evaluation.physical_numbers import find_contradiction, list_contradicted
+from pipeline.evaluation.errors import find_contradiction, list_contradicted
 from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.content import ReportContent

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import synchronous
-from pipeline.data.noise import NOMINAL_95
 from pipeline.data.operating import name_state
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLACK,
