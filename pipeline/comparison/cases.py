@@ -5,7 +5,7 @@ made of each: an answer with its errors, or the name of what it can't do.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions, measure
-from pipeline.evaluation.errors import measure_coverage, measure_relative_errors
+from pipeline.evaluation.errors import list_coverage, measure_errors
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import REQUIREMENTS, Estimate, MethodOptions, Refusal
@@ -119,15 +119,10 @@ class Machine:
 # --- what a method made of a case -----------------------------------------------------------------
 
 
-class CoefficientResult(BaseModel):
-    """One coefficient of one bearing; percent."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    median_error: float
-    p95_error: float
-    median_deviation: float | None = None  # stated, over the modelled coefficient
-    within_interval: float | None = None  # of the speeds at which the modelled one is in the nominal 95 % interval
+CoefficientResult = dict[str, float | None]
+"""Percent, of one coefficient of one bearing: ``median_error``, ``p95_error``, ``median_deviation`` (stated, over the
+modelled coefficient) and ``within_interval`` (of the speeds at which the modelled one is in the nominal 95 % interval);
+the last two None where no deviation is stated."""
 
 
 class Result(BaseModel):
@@ -136,10 +131,7 @@ class Result(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: MethodName
-    noise: float
-    sensors: SensorSet
-    speeds: int
-    data_set: int
+    case: Case  # what was measured
     outcome: str  # "answered", or a name of REQUIREMENTS
     words: str
     doubt: str
@@ -148,19 +140,14 @@ class Result(BaseModel):
     coefficients: dict[str, dict[str, CoefficientResult]]  # node -> name; empty where there is no answer
 
     @property
-    def case(self) -> Case:
-        """What was measured."""
-        return Case(self.noise, self.sensors, self.speeds, self.data_set)
-
-    @property
     def answered(self) -> bool:
         """Whether there are coefficients."""
         return self.outcome == ANSWERED
 
     def error(self, name: str) -> float:
         """Median error over speed of a coefficient in percent, mean over the bearings that have it; NaN without one."""
-        errors = [coefficient[name].median_error for coefficient in self.coefficients.values() if name in coefficient]
-        return float(np.mean(errors)) if errors else float("nan")
+        errors = [named[name]["median_error"] for named in self.coefficients.values() if name in named]
+        return float(np.array(errors, dtype=float).mean()) if errors else float("nan")
 
 
 ANSWERED = "answered"
@@ -180,8 +167,8 @@ def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
     # Clean data have no noise that chi-square could be held against.
     doubt = answer.doubt if answer and case.noise else ""
     return Result(
-        **asdict(case),
         method=method,
+        case=case,
         outcome=outcome,
         words=reason,
         doubt=doubt,
@@ -204,20 +191,18 @@ def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple
 def _measure_errors(
     data: Measurement, answer: Estimate, machine: Machine, case: Case
 ) -> dict[str, dict[str, CoefficientResult]]:
-    truth = machine.truth(case)
-    errors: dict[str, dict[str, CoefficientResult]] = {}
-    for b, c in np.argwhere(data.unknowns.identified):
-        relative = measure_relative_errors(answer.coefficients, truth, COEFFICIENTS[c])[b]
-        relative = relative[~np.isnan(relative)]
-        if not len(relative):
-            continue
-        deviation, true = answer.deviation[b, :, c], truth.values[b, :, c]
-        median, stated = float(100 * np.median(deviation / np.abs(true))), not np.isnan(deviation).all()
-        coverage = measure_coverage(answer.coefficients.values[b, :, c] - true, deviation)
-        errors.setdefault(str(truth.nodes[b]), {})[COEFFICIENTS[c]] = CoefficientResult(
-            median_error=float(np.median(relative)),
-            p95_error=float(np.percentile(relative, 95)),
-            median_deviation=median if np.isfinite(median) else None,
-            within_interval=float(coverage) if stated else None,
-        )
-    return errors
+    truth, names = machine.truth(case), data.unknowns.by_bearing
+    every = measure_errors(answer.coefficients, truth, names)
+    inside = list_coverage(answer.coefficients, truth, answer.deviation, names)
+    results: dict[str, dict[str, CoefficientResult]] = {}
+    for b, node in enumerate(truth.nodes):
+        for name, error in every[str(node)].items():
+            deviation = answer.deviation[b, :, COEFFICIENTS.index(name)]
+            median = float(100 * np.median(deviation / np.abs(truth.coefficient(name)[b])))
+            results.setdefault(str(node), {})[name] = {
+                "median_error": error["median_error_percent"],
+                "p95_error": error["p95_error_percent"],
+                "median_deviation": median if np.isfinite(median) else None,
+                "within_interval": None if np.isnan(deviation).all() else inside[str(node)][name],
+            }
+    return results

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -22,20 +21,8 @@ from pipeline.laws.oil import OilConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings
 
-
-@dataclass(frozen=True)
-class CoefficientError:
-    """Relative errors over the speeds, in percent; ``l2`` is |identified - modelled|_2 / |modelled|_2."""
-
-    mean_error_percent: float
-    median_error_percent: float
-    p95_error_percent: float
-    max_error_percent: float
-    l2_error_percent: float
-
-
-CoefficientErrors = dict[int, dict[str, CoefficientError]]
-"""Bearing node -> coefficient name -> error."""
+CoefficientErrors = dict[str, dict[str, dict[str, float]]]
+"""Bearing node -> coefficient name -> ``mean_error_percent`` and so on, as ``metrics.json`` has them."""
 
 
 def measure_relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
@@ -48,8 +35,12 @@ def measure_relative_errors(identified: BearingTable, modelled: BearingTable, na
 def measure_errors(
     identified: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
 ) -> CoefficientErrors:
-    """Errors of the coefficients ``names`` of each bearing; one that is modelled as zero has none."""
-    result: CoefficientErrors = {node: {} for node in identified.nodes}
+    """Errors of the coefficients ``names`` of each bearing; one that is modelled as zero has none.
+
+    Relative ones over the speeds, in percent: mean, median, 95th percentile, largest; and ``l2``, which is
+    |identified - modelled|_2 / |modelled|_2.
+    """
+    result: CoefficientErrors = {str(node): {} for node in identified.nodes}
     for b, node in enumerate(identified.nodes):
         for name in names[b]:
             relative = measure_relative_errors(identified, modelled, name)[b]
@@ -58,20 +49,14 @@ def measure_errors(
                 value, true = identified.coefficient(name)[b], modelled.coefficient(name)[b]
                 l2 = 100.0 * np.linalg.norm(value - true) / np.linalg.norm(true)
                 median, p95 = np.percentile(errors, (50.0, 95.0))
-                result[node][name] = CoefficientError(
-                    float(errors.mean()), float(median), float(p95), float(errors.max()), float(l2)
-                )
+                sizes = {"mean": errors.mean(), "median": median, "p95": p95, "max": errors.max(), "l2": l2}
+                result[str(node)][name] = {f"{kind}_error_percent": float(size) for kind, size in sizes.items()}
     return result
-
-
-def list_metrics(errors: CoefficientErrors) -> dict[str, dict[str, dict[str, float]]]:
-    """The ``coefficients`` part of ``metrics.json``."""
-    return {str(node): {name: asdict(error) for name, error in by_name.items()} for node, by_name in errors.items()}
 
 
 def find_worst_mean(errors: CoefficientErrors, name: str) -> float:
     """The largest mean error of one coefficient among the bearings, percent."""
-    return max((error[name].mean_error_percent for error in errors.values() if name in error), default=0.0)
+    return max((error[name]["mean_error_percent"] for error in errors.values() if name in error), default=0.0)
 
 
 def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
@@ -118,37 +103,25 @@ _MODELLED_AS = {"load": "static_load"}
 """What a number of a law is called in the section of a modelled bearing, where that is another name."""
 
 
-@dataclass(frozen=True)
-class NumberError:
-    """A number beside the true one."""
+def measure_numbers(numbers: Mapping[str, Mapping[str, float]], machine: MachineConfig) -> dict[str, dict[str, float]]:
+    """The ``numbers`` (name -> ``value`` and standard ``deviation``, SI) that the modelled machine has, too.
 
-    value: float  # SI
-    deviation: float  # standard
-    true: float
-
-    @property
-    def error_percent(self) -> float:
-        """Its distance from the true one, as a share of that."""
-        return 100.0 * abs(self.value / self.true - 1.0)
-
-    @property
-    def within(self) -> bool:
-        """Whether the nominal 95 % interval has the true one."""
-        return abs(self.value - self.true) <= NOMINAL_95 * self.deviation
-
-
-def measure_numbers(numbers: Mapping[str, tuple[float, float]], machine: MachineConfig) -> dict[str, NumberError]:
-    """The errors of ``numbers`` (name -> value and standard deviation, SI) that the modelled machine has, too."""
-    true = find_true_numbers(machine)
-    return {name: NumberError(*number, true[name]) for name, number in numbers.items() if name in true}
+    Each with its ``true`` value, the distance from it as a share of that (``error_percent``), and ``within``, whether
+    the nominal 95 % interval has it.
+    """
+    true, measured = find_true_numbers(machine), {}
+    for name in [name for name in numbers if name in true]:
+        value, deviation, expected = numbers[name]["value"], numbers[name]["deviation"], true[name]
+        about = {"value": value, "deviation": deviation, "true": expected}
+        within = abs(value - expected) <= NOMINAL_95 * deviation
+        measured[name] = about | {"error_percent": 100.0 * abs(value / expected - 1.0), "within": within}
+    return measured
 
 
 def judge_numbers(numbers: Mapping[str, Mapping[str, Any]], machine: MachineConfig) -> dict[str, Any]:
     """The ``physical_numbers`` of a fit with their true values and errors, of a modelled machine."""
-    if machine.recordings.recorded:
-        return dict(numbers)
-    errors = measure_numbers({name: (entry["value"], entry["deviation"]) for name, entry in numbers.items()}, machine)
-    more = {name: {"true": error.true, "error_percent": error.error_percent} for name, error in errors.items()}
+    errors = {} if machine.recordings.recorded else measure_numbers(numbers, machine)
+    more = {name: {key: error[key] for key in ("true", "error_percent")} for name, error in errors.items()}
     return {name: {**entry, **more.get(name, {})} for name, entry in numbers.items()}
 
 

@@ -9,16 +9,14 @@ Legend: G starts, S training speeds, A active unknowns.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.config.machine import MachineConfig
 from pipeline.evaluation.errors import (
-    CoefficientError,
     CoefficientErrors,
-    NumberError,
     measure_coverage,
     measure_errors,
     measure_numbers,
@@ -37,8 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_NO_ERROR = CoefficientError(*(float("nan"),) * 5)
-"""Where there is no truth."""
+_KINDS = ("mean_error_percent", "median_error_percent", "p95_error_percent")
 
 
 def tabulate_starts(
@@ -53,13 +50,13 @@ def tabulate_starts(
     import pandas as pd
 
     errors = [{} if modelled is None else measure_errors(answer, modelled, names) for answer in answers]
-    rows = pd.DataFrame(
+    return pd.DataFrame(
         {
             over: start,
             "bearing_node": node,
             "coefficient": name,
             "mean_value": float(answer.coefficient(name)[b].mean()),
-            **asdict(errors[g].get(node, {}).get(name, _NO_ERROR)),
+            **{kind: errors[g].get(str(node), {}).get(name, {}).get(kind, np.nan) for kind in _KINDS},
             "loss": float(minimum.loss[g]),
             "outcome": minimum.outcomes[g].label,
         }
@@ -67,7 +64,6 @@ def tabulate_starts(
         for b, node in enumerate(answer.nodes)
         for name in names[b]
     )
-    return rows.drop(columns=["max_error_percent", "l2_error_percent"])
 
 
 def summarize_starts(minimum: Minimum, rows: pd.DataFrame) -> dict[str, Any]:
@@ -105,7 +101,7 @@ class Refit:
     misfit: float  # chi-square over what is expected
     _: KW_ONLY
     unmeasured: Mapping[str, CoefficientErrors]  # at conditions that no run has, by their words
-    numbers: Mapping[str, NumberError]  # of the bearing laws
+    numbers: Mapping[str, Mapping[str, float]]  # of the bearing laws, with their errors
 
 
 def refit(
@@ -147,7 +143,7 @@ def refit(
         unmeasured={}
         if elsewhere is None
         else measure_unmeasured(fitted.table(elsewhere), elsewhere, unknowns.by_bearing),
-        numbers=measure_numbers({number.name: (number.value, number.deviation) for number in fitted.numbers}, machine),
+        numbers=measure_numbers(fitted.quality.summary.get("physical_numbers", {}), machine),
     )
 
 
@@ -204,8 +200,8 @@ def _summarize_physics(refits: Sequence[Refit]) -> dict[str, object]:
     for state, bearings in refits[0].unmeasured.items():
         for node, names in bearings.items():
             for name in names:
-                median = [refitted.unmeasured[state][node][name].median_error_percent for refitted in refits]
-                unmeasured.setdefault(state, {}).setdefault(str(node), {})[name] = {
+                median = [refitted.unmeasured[state][node][name]["median_error_percent"] for refitted in refits]
+                unmeasured.setdefault(state, {}).setdefault(node, {})[name] = {
                     "median_error_percent": float(np.median(median)),
                     "worst_median_error_percent": float(np.max(median)),
                 }
@@ -215,11 +211,11 @@ def _summarize_physics(refits: Sequence[Refit]) -> dict[str, object]:
     for name in refits[0].numbers:
         every = [refitted.numbers[name] for refitted in refits]
         numbers[name] = {
-            "true": every[0].true,
-            "median_error_percent": float(np.median([number.error_percent for number in every])),
-            "worst_error_percent": float(np.max([number.error_percent for number in every])),
-            "median_deviation_percent": float(np.median([100.0 * number.deviation / number.value for number in every])),
-            "within_95_percent_interval": 100.0 * float(np.mean([number.within for number in every])),
+            "true": every[0]["true"],
+            "median_error_percent": float(np.median([number["error_percent"] for number in every])),
+            "worst_error_percent": float(np.max([number["error_percent"] for number in every])),
+            "median_deviation_percent": float(np.median([100.0 * n["deviation"] / n["value"] for n in every])),
+            "within_95_percent_interval": 100.0 * float(np.mean([number["within"] for number in every])),
         }
     elsewhere = {"unmeasured": unmeasured, "all_unmeasured": together} if unmeasured else {}
     return elsewhere | ({"numbers": numbers} if numbers else {})

@@ -16,7 +16,7 @@ from pipeline.data.tables import read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, to_vectors
 from pipeline.ingest.tracks import sort_track
-from pipeline.sweep.fit import MeasuredRate, RunUp, measure_rate
+from pipeline.sweep.fit import RunUp, measure_rate
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -66,11 +66,12 @@ class RunUpConfig(MotionConfig):
             yield "must have a rate_rpm_per_s that is not 0, but got 0: leave it out, to measure it"
 
 
-def read_run_up(config: RunUpConfig, straight: float = 0.01) -> tuple[RunUp, MeasuredRate | None]:
-    """The rows of the ramp, phases as leads (or as they stand, where no sense is stated), and the measured rate.
+def read_run_up(config: RunUpConfig, straight: float = 0.01) -> RunUp:
+    """The rows of the ramp, phases as leads (or as they stand, where no sense is stated).
 
-    The rate is None where the configuration gives it. Raises DataError: no such file or column, impossible numbers,
-    fewer than 40 rows on the ramp, rows that lie on no straight ramp (to the share ``straight`` of the highest speed).
+    The rate is measured where the configuration does not give it. Raises DataError: no such file or column, impossible
+    numbers, fewer than 40 rows on the ramp, rows that lie on no straight ramp (to the share ``straight`` of the highest
+    speed).
     """
     path, names = Path(config.file), config.columns
     table = read_table(path, dict.fromkeys((names.speed, names.amplitude, names.phase), "number"))
@@ -82,17 +83,16 @@ def read_run_up(config: RunUpConfig, straight: float = 0.01) -> tuple[RunUp, Mea
     speeds, vectors = speeds[on_ramp], vectors[on_ramp]
     where = f"'{path}' from {config.from_rpm:g} to {config.to_rpm:g} rpm"
     if config.rate_rpm_per_s:
-        rate, measured = config.rate_rpm_per_s * RAD_S_PER_RPM, None
+        rate, deviation, departure = config.rate_rpm_per_s * RAD_S_PER_RPM, None, None
         if not len(speeds):
             raise DataError(f"{where} must have rows, but it has none: give the range of the ramp (from_rpm, to_rpm)")
     else:
-        measured = measure_rate(speeds, where)
-        rate = measured.rate
-        if measured.departure > straight * speeds.max():
+        rate, deviation, departure = measure_rate(speeds, where)
+        if departure > straight * speeds.max():
             raise DataError(
                 f"{where} must be a ramp of one rate with a row a revolution, but a row is "
-                f"{measured.departure / RAD_S_PER_RPM:.3g} rpm off: choose the range of the ramp (from_rpm, to_rpm), "
+                f"{departure / RAD_S_PER_RPM:.3g} rpm off: choose the range of the ramp (from_rpm, to_rpm), "
                 "or give rate_rpm_per_s"
             )
     track = sort_track(speeds, vectors, where)
-    return RunUp(track.speeds, track.vectors, rate), measured
+    return RunUp(track.speeds, track.vectors, rate, deviation, departure)

@@ -13,7 +13,7 @@ from textwrap import wrap
 
 import numpy as np
 
-from pipeline.comparison.cases import Case, CoefficientResult, Result
+from pipeline.comparison.cases import Case, Result
 from pipeline.methods.catalogue import METHODS
 from pipeline.reporting.blocks import Table, format_markdown
 from pipeline.write_numbers import write_number
@@ -42,7 +42,7 @@ class Comparison:
         Data sets without an answer are left out.
         """
         names, answered = [name] if name else self.names, [r for r in self.of(method, case) if r.answered]
-        errors = {r.data_set: [r.error(coefficient) for coefficient in names] for r in answered}
+        errors = {r.case.data_set: [r.error(coefficient) for coefficient in names] for r in answered}
         return {i: float(np.nanmax(values)) for i, values in errors.items() if not np.isnan(values).all()}
 
     def error(self, method: str, case: Case, name: str | None = None) -> float:
@@ -89,11 +89,11 @@ class Comparison:
     def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
         shares = [
-            held.within_interval
+            held["within_interval"]
             for r in self.of(method, case)
             for coefficient in r.coefficients.values()
             for held in coefficient.values()
-            if held.within_interval is not None
+            if held["within_interval"] is not None
         ]
         return float(np.mean(shares)) if shares else None
 
@@ -263,12 +263,11 @@ def _summarize(answered: Sequence[Result], node: str | None, name: str | None) -
     """Over the data sets; None for what none of them has."""
     import pandas as pd
 
-    answers = [
-        each[name].model_dump() for r in answered for at, each in r.coefficients.items() if at == node and name in each
-    ]
-    table = pd.DataFrame(answers, columns=list(CoefficientResult.model_fields), dtype=float)
+    answers = [each[name] for r in answered for at, each in r.coefficients.items() if at == node and name in each]
+    kinds = ("p95_error", "median_deviation", "within_interval")
+    table = pd.DataFrame(answers, columns=["median_error", *kinds], dtype=float)
     errors = table["median_error"]
     numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}
     numbers = {"median_error_percent": errors.mean(), **numbers}
-    numbers |= {f"{key}_percent": table[key].mean() for key in ("p95_error", "median_deviation", "within_interval")}
+    numbers |= {f"{key}_percent": table[key].mean() for key in kinds}
     return {key: None if np.isnan(number) else float(number) for key, number in numbers.items()}

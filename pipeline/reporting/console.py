@@ -96,7 +96,7 @@ def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, R
     with _show_bar(name, total) as (bar, task):
 
         def update(done: int, of: int, result: Result) -> None:
-            newest = f"{result.method}, {result.sensors}, {100 * result.noise:g} % in {result.seconds:.1f} s"
+            newest = f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s"
             bar.update(task, completed=done, total=of, words=f"{newest}, left:")
 
         yield update

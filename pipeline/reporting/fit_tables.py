@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,8 +41,8 @@ def make_error_table(
     verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
     for b, node in enumerate(answer.nodes):
         for name in shown.unknowns[b]:
-            error = (errors or {node: {}})[node].get(name)
-            if shown.compared and error is None:
+            error = (errors or {}).get(str(node), {}).get(name, {})
+            if shown.compared and not error:
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
             share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
@@ -51,8 +51,8 @@ def make_error_table(
                 "coefficient": name,
                 "modelled": shown.modelled[b, :, c].mean(),
                 "identified": answer.values[b, :, c].mean(),
-                **(asdict(error) if error else {}),
-                **({"least_squares_mean_error_percent": beside[node][name].mean_error_percent} if beside else {}),
+                **error,
+                **({"least_squares_mean_error_percent": beside[str(node)][name]["mean_error_percent"]} if beside else {}),
                 "median_std_percent": float(100 * share),
                 "verdict": verdicts.get((node, name)),
             }

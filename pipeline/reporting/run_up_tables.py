@@ -12,13 +12,13 @@ from pipeline.identification.restored import Answer
 from pipeline.ingest.run_up import RunUpConfig
 from pipeline.reporting.console import say, table, warn
 from pipeline.sweep.bias import describe_bias
-from pipeline.sweep.fit import MeasuredRate, ModalFit
+from pipeline.sweep.fit import ModalFit
 from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
 from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
 
 
-def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis, rate: MeasuredRate | None) -> dict[str, Any]:
+def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis) -> dict[str, Any]:
     """What ``run_up.json`` has."""
     run_up, bias, steady, frequency = analysis.run_up, analysis.bias, analysis.steady, analysis.frequency
     rpm = to_rpm(run_up.speeds)
@@ -29,8 +29,8 @@ def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis, rate: Measu
         "first_rpm": float(rpm[0]),
         "last_rpm": float(rpm[-1]),
         "rate_rpm_per_s": run_up.rate / RAD_S_PER_RPM,
-        "rate_deviation_rpm_per_s": rate and rate.deviation / RAD_S_PER_RPM,
-        "largest_departure_rpm": rate and rate.departure / RAD_S_PER_RPM,
+        "rate_deviation_rpm_per_s": run_up.rate_deviation and run_up.rate_deviation / RAD_S_PER_RPM,
+        "largest_departure_rpm": run_up.departure and run_up.departure / RAD_S_PER_RPM,
         "phase": analysis.sense,
         "steady_reading": steady
         and {

@@ -12,7 +12,6 @@ from pipeline.evaluation.errors import (
     find_worst_mean,
     judge_numbers,
     list_coverage,
-    list_metrics,
     measure_errors,
     measure_unmeasured,
     model_unmeasured,
@@ -64,9 +63,9 @@ def run(analysis: Analysis) -> StageOutput:
     beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
     if modelled is not None and errors is not None:
         summary["mean_error_ppm"] = {name: 1e4 * find_worst_mean(errors, name) for name in config.identify.named()}
-        metrics["coefficients"] = list_metrics(errors)
+        metrics["coefficients"] = errors
         if beside is not None:
-            metrics["least_squares"] = list_metrics(beside)
+            metrics["least_squares"] = beside
         if deviation is not None:
             metrics["within_95_percent_interval"] = list_coverage(table, modelled, deviation, names)
     shown = Coefficients.collect(table, modelled, names, deviation)
@@ -86,10 +85,10 @@ def run(analysis: Analysis) -> StageOutput:
     elsewhere = model_unmeasured(config, answer.table.speeds)
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)
     for state, error in beyond.items():
-        worst = max(name.median_error_percent for names_of in error.values() for name in names_of.values())
+        worst = max(entry["median_error_percent"] for names_of in error.values() for entry in names_of.values())
         say(f"{config.name}: at {state}, which no run has, the worst coefficient is off by {worst:.3g} % (median)")
     if beyond:
-        metrics["unmeasured"] = {state: list_metrics(error) for state, error in beyond.items()}
+        metrics["unmeasured"] = beyond
     if loss.weighs_noise:
         metrics["held_out"] = _judge_held_out(config, answer)
     written += [

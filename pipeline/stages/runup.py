@@ -30,9 +30,8 @@ def run(analysis: Analysis) -> StageOutput:
             "runup must have a run-up to fit, but machine.run_up is missing: give its file and what its numbers mean "
             "(docs/run_up.md)"
         )
-    run_up, rate = read_run_up(settings)
-    reading = analyse_run_up(run_up, settings)
-    summary = summarize_run_up(settings, reading, rate)
+    reading = analyse_run_up(read_run_up(settings), settings)
+    summary = summarize_run_up(settings, reading)
     if work.training.exists():
         summary["identified"] = compare_identified(restore(analysis), summary)
     steady = respond_as_steady(reading.run_up, reading.chosen)

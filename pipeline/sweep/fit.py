@@ -44,15 +44,8 @@ class RunUp:
     speeds: np.ndarray  # (S,) rad/s, ascending
     vectors: np.ndarray  # (S,) complex, angle as a lead of e^{j theta}
     rate: float  # rad/s^2
-
-
-@dataclass(frozen=True)
-class MeasuredRate:
-    """The rate of a ramp from rows of one revolution each."""
-
-    rate: float  # rad/s^2
-    deviation: float  # rad/s^2
-    departure: float  # rad/s, the largest difference of a row from a straight ramp
+    rate_deviation: float | None = None  # rad/s^2, of a rate that was measured
+    departure: float | None = None  # rad/s, the largest difference of a row from a straight ramp of that rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +69,11 @@ class ModalFit:
         return logs * np.stack([self.frequencies, self.dampings], axis=1)
 
 
-def measure_rate(speeds: np.ndarray, where: str) -> MeasuredRate:
+def measure_rate(speeds: np.ndarray, where: str) -> tuple[float, float, float]:
     """The rate of ``speeds`` (S,) rad/s, one a revolution: Omega^2 grows by 4 pi alpha a revolution.
 
-    Raises DataError, which begins with ``where``, for fewer than 40 rows.
+    With it come its deviation (both rad/s^2), and the largest difference (rad/s) of a row from a straight ramp. Raises
+    DataError, which begins with ``where``, for fewer than 40 rows.
     """
     if len(speeds) < RunUp.FEWEST:
         raise DataError(
@@ -90,7 +84,7 @@ def measure_rate(speeds: np.ndarray, where: str) -> MeasuredRate:
     line, covariance = np.polyfit(turns, speeds**2, 1, cov=True)
     departure = np.abs(np.sqrt(np.maximum(np.polyval(line, turns), 0)) - speeds).max()
     scale = 1 / (4 * np.pi)
-    return MeasuredRate(float(line[0] * scale), float(np.sqrt(covariance[0, 0]) * scale), float(departure))
+    return float(line[0] * scale), float(np.sqrt(covariance[0, 0]) * scale), float(departure)
 
 
 def fit_modes(run_up: RunUp, count: int, degree: int = 2) -> ModalFit:

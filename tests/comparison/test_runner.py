@@ -209,15 +209,13 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
         assert result.answered or result.words
 
 
-def row(method: str, noise: float, error: float | None, **changed: Any) -> Result:
+def row(method: str, noise: float, error: float | None, data_set: int = 0, **changed: Any) -> Result:
     """A result with one coefficient, or without an answer."""
-    found = {} if error is None else {"1": {"kxx": {"median_error": error, "p95_error": error}}}
+    unstated = dict.fromkeys(("median_deviation", "within_interval"))
+    found = {} if error is None else {"1": {"kxx": {"median_error": error, "p95_error": error} | unstated}}
     values = {
         "method": method,
-        "noise": noise,
-        "sensors": "bearings",
-        "speeds": 10,
-        "data_set": 0,
+        "case": Case(noise, "bearings", 10, data_set),
         "outcome": "answered" if error is not None else "one_frequency",
         "words": "",
         "doubt": "",

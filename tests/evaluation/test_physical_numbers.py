@@ -32,9 +32,9 @@ def test_the_load_of_a_ball_bearing_has_another_name_in_the_model() -> None:
 
 def test_an_interval_holds_the_true_number_or_not() -> None:
     machine = compose_config(OIL).machine
-    found = {"8.radial_clearance": (0.102e-3, 0.9e-6), "oil.slope": (0.0342, 0.0002), "oil.b": (900.0, 1.0)}
-    errors = measure_numbers(found, machine)
+    pairs = {"8.radial_clearance": (0.102e-3, 0.9e-6), "oil.slope": (0.0342, 0.0002), "oil.b": (900.0, 1.0)}
+    errors = measure_numbers({name: {"value": v, "deviation": d} for name, (v, d) in pairs.items()}, machine)
     assert set(errors) == {"8.radial_clearance", "oil.slope"}
-    assert errors["8.radial_clearance"].error_percent == pytest.approx(2.0)
-    assert not errors["8.radial_clearance"].within
-    assert errors["oil.slope"].within
+    assert errors["8.radial_clearance"]["error_percent"] == pytest.approx(2.0)
+    assert not errors["8.radial_clearance"]["within"]
+    assert errors["oil.slope"]["within"]

@@ -29,8 +29,8 @@ def test_each_speed_once_at_each_condition() -> None:
     wrong = replace(table, values=table.values * np.array([1.01, 1.01, 1.03, 1.03])[:, None])
     found = measure_unmeasured(wrong, table, [EIGHT, EIGHT])
     assert list(found) == ["40 degC", "70 degC"]
-    assert found["40 degC"][8]["kxx"].median_error_percent == pytest.approx(1.0)
-    assert found["70 degC"][21]["cyy"].median_error_percent == pytest.approx(3.0)
+    assert found["40 degC"]["8"]["kxx"]["median_error_percent"] == pytest.approx(1.0)
+    assert found["70 degC"]["21"]["cyy"]["median_error_percent"] == pytest.approx(3.0)
 
 
 def test_nothing_is_asked_for() -> None:

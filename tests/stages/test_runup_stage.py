@@ -88,18 +88,18 @@ def test_the_run_up_of_the_measured_rig(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_the_column_in_volts_is_the_one_in_micrometres_five_times_too_small() -> None:
     """What the file calls um took volts for mil."""
-    right, _ = read_run_up(RunUpConfig(**SETTINGS))
+    right = read_run_up(RunUpConfig(**SETTINGS))
     other = {key: value for key, value in SETTINGS.items() if key not in ("voltage", "scale")} | {"length": "um"}
     other["columns"] = SETTINGS["columns"] | {"amplitude": "amp_1x_um"}
-    wrong, measured = read_run_up(RunUpConfig(**other))
+    wrong = read_run_up(RunUpConfig(**other))
     assert np.abs(right.vectors).max() == pytest.approx(103e-6, rel=0.01)
     assert np.abs(right.vectors / wrong.vectors) == pytest.approx(np.full(211, 5.0), rel=1e-3)
-    assert measured is not None
+    assert wrong.rate_deviation is not None
 
 
 def test_a_given_rate_is_taken() -> None:
-    run_up, measured = read_run_up(RunUpConfig(**SETTINGS | {"rate_rpm_per_s": -100.0}))
-    assert measured is None
+    run_up = read_run_up(RunUpConfig(**SETTINGS | {"rate_rpm_per_s": -100.0}))
+    assert run_up.rate_deviation is None
     assert run_up.rate == pytest.approx(-100 * np.pi / 30)
 
 

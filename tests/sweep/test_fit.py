@@ -127,10 +127,10 @@ def test_no_decay_is_seen_where_damping_is_large() -> None:
 def test_the_rate_is_measured_from_the_revolutions() -> None:
     noise = 0.5 * RPM * np.random.default_rng(5).standard_normal(211)
     for rate in (RATE, -RATE):
-        found = measure_rate(revolutions(rate) + noise, "x")
-        assert found.rate == pytest.approx(rate, abs=4 * found.deviation)
-        assert found.deviation < 1e-3 * RATE
-        assert found.departure < 3 * RPM
+        measured, deviation, departure = measure_rate(revolutions(rate) + noise, "x")
+        assert measured == pytest.approx(rate, abs=4 * deviation)
+        assert deviation < 1e-3 * RATE
+        assert departure < 3 * RPM
     with refused("'x' must have at least 40 rows (revolutions) on its ramp, but it has 10"):
         measure_rate(revolutions()[:10], "'x'")
 
