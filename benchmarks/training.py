@@ -65,14 +65,14 @@ def guesses_at_once() -> Times:
     """Without early stopping both take every step."""
     import torch
 
+    from pipeline.evaluation.repeats import choose_starts
     from pipeline.identification.residual_loss import initial_parameters, prepare_residual
     from pipeline.identification.training import minimise
-    from pipeline.stages.robustness import choose_starts
 
     made = machine("experiment=ball_bearing")
     setup = endless(made.config)
     prepared = prepare_residual(made.measurement, setup)
-    guesses = choose_starts(made.config)
+    guesses = choose_starts(made.config.robustness)
     together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])
     alone = together[40:41]
     return in_turns(

@@ -18,29 +18,12 @@ from pipeline.ingest.records import Records
 from pipeline.ingest.tracks import format_rpm
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Readings:
-    """The mean vector of each condition at the nominal speeds; NaN where nothing was read."""
+def average_records(records: Records, vibration: LinearVibration) -> Conditions:
+    """The means of the ``records`` of each condition, in the order of the table; NaN where nothing was read.
 
-    names: tuple[str, ...]  # C
-    displacement: np.ndarray  # (C, S, P) complex m
-    counts: np.ndarray  # (C, S, P) records behind each mean
-    unbalance: np.ndarray  # (C, N) complex kg m; NaN where it is not given
-
-
-def describe_conditions(conditions: Conditions) -> Readings:
-    """The experiment's own conditions as readings: every channel at every speed."""
-    counts = np.broadcast_to(conditions.counts[:, None, None], conditions.displacement.shape)
-    return Readings(
-        names=conditions.names, displacement=conditions.displacement, counts=counts, unbalance=conditions.unbalance
-    )
-
-
-def average_records(records: Records, vibration: LinearVibration) -> Readings:
-    """The means of the ``records`` of each condition, in the order of the table.
-
-    Raises DataError for a speed that is not one of the model's, channels or planes other than the model's, a table
-    without vibration, and a condition whose known weights differ.
+    ``counts`` are the fewest records behind a mean of each; the records' own scatter is not asked for. Raises DataError
+    for a speed that is not one of the model's, channels or planes other than the model's, a table without vibration,
+    and a condition whose known weights differ.
     """
     at = match_speeds(records.speeds, vibration.speeds, records.source)
     names = tuple(dict.fromkeys(records.conditions))
@@ -58,11 +41,16 @@ def average_records(records: Records, vibration: LinearVibration) -> Readings:
     np.add.at(total, (conditions, at), np.where(present, read, 0.0))
     np.add.at(counts, (conditions, at), present)
     mean = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
-    return Readings(
+    return Conditions(
         names=names,
+        speeds=vibration.speeds,
+        own_speeds=np.tile(vibration.speeds, (len(names), 1)),
         displacement=mean,
-        counts=counts,
+        counts=np.where(counts > 0, counts, counts.max()).min(axis=(1, 2)),
+        channels=vibration.channels,
+        planes=vibration.planes,
         unbalance=_gather_known(records, names, conditions, vibration.planes),
+        record_covariance=np.zeros((*shape[1:], shape[2]), dtype=complex),
     )
 
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from pipeline.balance.correction import Holes, Weight, choose_weights
 from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_of
-from pipeline.balance.records import Readings
 from pipeline.config.balance import BalanceConfig
+from pipeline.data.conditions import Conditions
 from pipeline.errors import ConfigError, nearest
 from pipeline.rotor.model import DOF_PER_NODE, RotorModel
 
@@ -37,7 +37,7 @@ class State:
     weights: np.ndarray  # (N,) complex kg m, known weights on the machine; zero for the machine as it is
 
 
-def find_state(vibration: LinearVibration, readings: Readings, asked: BalanceConfig, subtracted: str | None) -> State:
+def find_state(vibration: LinearVibration, readings: Conditions, asked: BalanceConfig, subtracted: str | None) -> State:
     """What the machine shows, and which part of it is to be taken away.
 
     Raises ConfigError for a condition that was not read, and for the machine's own unbalance where its vibration was

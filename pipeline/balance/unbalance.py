@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pipeline.balance.linear_vibration import LinearVibration, circle_radius, judge_distance
-from pipeline.balance.records import Readings
+from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError
 from pipeline.problem.noise_levels import NoiseLevels, student_factor
 
@@ -128,7 +128,7 @@ class Estimates:
     """
 
     RARE: ClassVar[float] = 0.01
-    readings: Readings
+    readings: Conditions
     found: tuple[Unbalance, ...]  # C
     chance: np.ndarray  # (C,) that a sound condition departs as far from any unbalance; NaN where it can't be known
     label_chance: np.ndarray  # (C,) the same of the known weights; NaN where there are none
@@ -169,26 +169,22 @@ class Estimates:
         }
 
 
-def estimate_all(readings: Readings, models: Sequence[LinearVibration]) -> Estimates:
+def estimate_all(readings: Conditions, models: Sequence[LinearVibration]) -> Estimates:
     """The unbalance of each condition by its model of ``models`` (C). Raises DataError where too little was read."""
     estimates, chance, labels = [], [], []
-    for c, vector in enumerate(readings.displacement.reshape(len(readings.names), -1)):
-        model, counts = models[c], readings.counts[c]
-        if not (counts > 0).any():
+    for c, vector in enumerate(readings.vectors):
+        model, measured = models[c], ~np.isnan(vector)
+        if not measured.any():
             raise DataError(f"condition '{readings.names[c]}' must have at least one measured vector, but has none")
-        unbalance = estimate_unbalance(model, vector, int(counts[counts > 0].min()))
+        unbalance = estimate_unbalance(model, vector, int(readings.counts[c]))
         away = readings.unbalance[c] - unbalance.value
         known = not np.isnan(away).any()
         squared = float((away.conj() @ np.linalg.solve(unbalance.covariance, away)).real) if known else np.nan
         estimates.append(unbalance)
-        chance.append(_judge_rest(unbalance, int((counts > 0).sum()) - len(away), model.noise))
+        spare, noise = int(measured.sum()) - len(away), model.noise
+        tail = noise.tail or noise.freedom - spare + 1  # with the tails that conditions have
+        chance.append(judge_distance(unbalance.unexplained / noise.stretch, spare, tail))
         labels.append(judge_distance(squared, len(away), unbalance.freedom))
     return Estimates(
         readings=readings, found=tuple(estimates), chance=np.array(chance), label_chance=np.array(labels, dtype=float)
     )
-
-
-def _judge_rest(unbalance: Unbalance, spare: int, noise: NoiseLevels) -> float:
-    """The chance of what the weights leave in ``spare`` complex numbers, with the tails that conditions have."""
-    tail = noise.tail or noise.freedom - spare + 1
-    return judge_distance(unbalance.unexplained / noise.stretch, spare, tail)

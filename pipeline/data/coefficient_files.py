@@ -36,6 +36,16 @@ def write_coefficients(
 ) -> Path:
     """Write the coefficients that ``of`` names for each node, or all; the others stay blank. Raises StorageError.
 
+    Standard deviations are those of :func:`tabulate_coefficients`.
+    """
+    return write_table(path, tabulate_coefficients(table, of, deviation))
+
+
+def tabulate_coefficients(
+    table: BearingTable, of: Mapping[int, Sequence[str]] | None = None, deviation: np.ndarray | None = None
+) -> Columns:
+    """The columns of :func:`write_coefficients`, bearing by bearing.
+
     With standard deviations (B, S, 8) there are columns ``kxx_std`` and so on, blank where a coefficient was known.
     """
     n_bearings, n_speeds = len(table.nodes), len(table.speeds)
@@ -50,7 +60,7 @@ def write_coefficients(
         columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
     if deviation is not None:
         columns |= {f"{name}_std": deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
-    return write_table(path, columns)
+    return columns
 
 
 def read_coefficients(

@@ -21,11 +21,11 @@ class Conditions:
     names: tuple[str, ...]  # C
     speeds: np.ndarray  # (S,) rad/s, nominal
     own_speeds: np.ndarray  # (C, S) rad/s, mean over the records
-    displacement: np.ndarray  # (C, S, P) complex, m, mean over the records
+    displacement: np.ndarray  # (C, S, P) complex, m, mean over the records; NaN where nothing was read
     counts: np.ndarray  # (C,) records
     channels: tuple[tuple[int, float], ...]  # P of (node, angle in degrees)
     planes: tuple[int, ...]  # N nodes
-    unbalance: np.ndarray  # (C, N) complex, kg m: magnitude e^{j phase}
+    unbalance: np.ndarray  # (C, N) complex, kg m: magnitude e^{j phase}; NaN where it is not given
     record_covariance: np.ndarray  # (S, P, P) complex, m^2, of one record about its condition's mean; zero if unknown
 
     @property

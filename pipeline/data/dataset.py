@@ -141,7 +141,9 @@ class VibrationDataset:
     def project(self, node: int, angle: float) -> np.ndarray:
         """(S, R) complex, m: what a probe in the direction ``angle`` (degrees) sees of a ``node`` known in x and y."""
         places = [self.channels.index((node, of)) for of in DIRECTIONS.values()]
-        return np.asarray(np.tensordot(self.displacement[:, places], project_direction(angle), (1, 0)))
+        return np.asarray(
+            sum(share * self.displacement[:, p] for p, share in zip(places, project_direction(angle), strict=True))
+        )
 
     def resolution(self, span: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
         """Which lateral DOF the channels determine by themselves, (D,), and how, (D, P): ``q = resolution @ channels``.

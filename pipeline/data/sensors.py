@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset, project_direction, synchronous
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, synchronous
 from pipeline.data.simulate import add_noise
 
 NOMINAL_95 = 1.959964
@@ -64,14 +64,7 @@ def list_directions(nodes: tuple[int, ...]) -> Channels:
 
 def project(dataset: VibrationDataset, channels: Channels) -> VibrationDataset:
     """The displacements along the channels, of a data set that has x and y at their nodes."""
-    place = {channel: p for p, channel in enumerate(dataset.channels)}
-    readings = [
-        sum(
-            share * dataset.displacement[:, place[node, axis]]
-            for share, axis in zip(project_direction(angle), DIRECTIONS.values(), strict=True)
-        )
-        for node, angle in channels
-    ]
+    readings = [dataset.project(node, angle) for node, angle in channels]
     return replace(dataset, channels=channels, displacement=np.stack(readings, axis=1))
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.config.identification import RobustnessConfig
 from pipeline.config.machine import MachineConfig
 from pipeline.evaluation.errors import (
     CoefficientErrors,
@@ -36,6 +37,13 @@ if TYPE_CHECKING:
 
 
 _KINDS = ("mean_error_percent", "median_error_percent", "p95_error_percent")
+
+
+def choose_starts(spec: RobustnessConfig) -> np.ndarray:
+    """(G,) initial stiffnesses in N/m, log-spaced, or seeds."""
+    if spec.over == "seed":
+        return np.array(spec.seeds)
+    return np.geomspace(spec.lowest_stiffness, spec.highest_stiffness, spec.count)
 
 
 def tabulate_starts(

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from pipeline.coefficients import COEFFICIENTS, is_stiffness
+from pipeline.data.coefficient_files import tabulate_coefficients
 from pipeline.data.operating import list_columns, name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.rotor.bearing_table import BearingTable
@@ -73,7 +74,7 @@ class Exported:
     @property
     def values(self) -> np.ndarray:
         """(B, S, 8) in the units of the reader."""
-        return self.table.values / SCALE[self.units]
+        return self.tables[""]
 
     @property
     def tables(self) -> dict[str, np.ndarray]:
@@ -102,23 +103,15 @@ def tabulate(*states: Exported) -> dict[str, Any]:
     In SI they are those of ``known_coefficients.csv``; in US units the names say so (``kxx_lb_per_in``), which no one
     takes for SI. Conditions have columns of their own, such as ``oil_temperature_degC``.
     """
-    parts = [_tabulate(state) for state in states]
-    return {name: np.concatenate([columns[name] for columns in parts]) for name in parts[0]}
-
-
-def _tabulate(exported: Exported) -> dict[str, np.ndarray]:
-    stiffness, damping = ("", "") if exported.units == "si" else ("_lb_per_in", "_lb_s_per_in")
-    columns: dict[str, np.ndarray] = {
-        "bearing_node": np.repeat(exported.table.nodes, len(exported.rpm)),
-        "speed_rpm": np.tile(exported.rpm, len(exported.table.nodes)),
-    }
-    every = np.ones(len(columns["speed_rpm"]))
-    columns |= list_columns({name: value * every for name, value in exported.operating.items()})
-    for beside, table in exported.tables.items():
-        for c, name in enumerate(COEFFICIENTS):
-            column = f"{name}{stiffness if is_stiffness(name) else damping}"
-            columns[f"{column}_{beside}" if beside else column] = table[..., c].ravel()
-    return columns
+    parts = [
+        tabulate_coefficients(replace(state.table, values=state.values), deviation=state.tables.get("std"))
+        for state in states
+    ]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    if states[0].units == "si":
+        return columns
+    units = {name: "_lb_per_in" if is_stiffness(name) else "_lb_s_per_in" for name in COEFFICIENTS}
+    return {name[:3] + units.get(name[:3], "") + name[3:]: values for name, values in columns.items()}
 
 
 class Coefficient(BaseModel, extra="forbid"):

@@ -69,11 +69,13 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
-    sweeps: dict[str, SweepBias] = {}
-    for run in runs:
-        bias = measure_sweep(run, config.most_lag)
-        sweeps |= {run.name: bias} if bias else {}
-        notes += note_sweep(run, bias)
+    sweeps = {run.name: bias for run in runs if (bias := measure_sweep(run, config.most_lag))}
+    notes += [
+        f"run '{name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp with "
+        "stage=runup"
+        for name, bias in sweeps.items()
+        if abs(bias.peak_shift) > bias.most
+    ]
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve(config.probes, vectors)
@@ -213,13 +215,3 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
             rate = float(np.interp(reading.frequency, track.speeds, rates))
             biases.append(measure_bias(*find_mode(reading, rate), rate, most))
     return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)
-
-
-def note_sweep(run: RunTracks, bias: SweepBias | None) -> list[str]:
-    """A sentence where the peak lags by more than it may."""
-    if not bias or abs(bias.peak_shift) <= bias.most:
-        return []
-    return [
-        f"run '{run.name}' is no sequence of steady states: {describe_bias(bias)}; run it slower, or fit the ramp "
-        "with stage=runup"
-    ]

@@ -46,7 +46,7 @@ def tabulate_estimates(
                 "inconsistent": int(estimates.inconsistent[c]),
                 "label_chance": estimates.label_chance[c],
                 "contradicted": int(estimates.contradicted[c]),
-                "vectors": int((readings.counts[c] > 0).sum()),
+                "vectors": int((~np.isnan(readings.displacement[c])).sum()),
             }
             rows.append({key: _blank(value) if isinstance(value, float) else value for key, value in row.items()})
     return rows

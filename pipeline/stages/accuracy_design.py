@@ -15,7 +15,7 @@ from pipeline.reporting.design_tables import Runs, override_states, print_reache
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_WEIGHT
 from pipeline.rotor.stored import load_modelled_bearings
-from pipeline.stages.diagnose import describe_noise
+from pipeline.stages.before_fit import describe_noise
 
 Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object], str]
 """Runs and speeds; what ``design.json`` and the records have; overrides that go with them."""

@@ -121,16 +121,12 @@ class Analysis:
     def require(self, stage: str, *needed: Path, behind: Path | None = None) -> None:
         """Run ``stage`` first if one of the files that it makes is missing, or older than the file ``behind`` it, and
         say so."""
-        stale = [path for path in needed if not path.exists() or (behind and is_older(path, behind))]
+        since = behind.stat().st_mtime if behind and behind.exists() else 0.0
+        stale = [path for path in needed if not path.exists() or path.stat().st_mtime < since]
         if stale:
             also = f", or older than '{behind}'" if behind else ""
             say(f"'{stale[0]}' is missing{also}: running stage={stage} first")
             self.run(stage)
-
-
-def is_older(path: Path, source: Path) -> bool:
-    """Whether a file is older than its source; not where one of them is missing."""
-    return path.exists() and source.exists() and path.stat().st_mtime < source.stat().st_mtime
 
 
 def made_once(*sources: str) -> Callable[[Callable[[Analysis], _T]], Callable[[Analysis], _T]]:

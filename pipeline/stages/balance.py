@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.balance.records import Readings, average_records, describe_conditions
+from pipeline.balance.records import average_records
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.config.schema import Config
+from pipeline.data.conditions import Conditions
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.ingest.conventions import SourceUnits
@@ -36,11 +37,8 @@ def run(analysis: Analysis) -> StageOutput:
     by_method: dict[str, Estimates] = {}
     rows: list[dict[str, Any]] = []
     for name, model in fitted.models.items():
-        if file:
-            readings = _read(config, file, model)
-            by_method[name] = estimate_all(readings, [model] * len(readings.names))
-        else:
-            by_method[name] = estimate_all(describe_conditions(fitted.conditions), fitted.leave_each_out(name))
+        readings = _read(config, file, model) if file else fitted.conditions
+        by_method[name] = estimate_all(readings, [model] * len(readings.names) if file else fitted.leave_each_out(name))
         tabled = tabulate_estimates(name, by_method[name], planes, source)
         print_estimates(config.name, name, tabled)
         rows += tabled
@@ -63,12 +61,12 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(summary, {"data_fingerprint": fingerprint}, written)
 
 
-def _read(config: Config, file: str, model: LinearVibration) -> Readings:
+def _read(config: Config, file: str, model: LinearVibration) -> Conditions:
     records = load_records(config, file, "balance.records")
     readings = average_records(records, model)
     missing = list_missing(records)
     without = f" without {', '.join(missing)}" if missing else ""
-    measured = np.flatnonzero((readings.counts > 0).any(axis=(0, 2)))
+    measured = np.flatnonzero((~np.isnan(readings.displacement)).any(axis=(0, 2)))
     rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
     return readings

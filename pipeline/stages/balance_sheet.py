@@ -9,10 +9,11 @@ import numpy as np
 
 from pipeline.balance.correction import place_holes
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.balance.records import Readings, match_speeds
+from pipeline.balance.records import match_speeds
 from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
 from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
+from pipeline.data.conditions import Conditions
 from pipeline.ingest.conventions import SourceUnits
 from pipeline.reporting.balance_tables import (
     describe_sheet,
@@ -26,7 +27,7 @@ from pipeline.units import RAD_S_PER_RPM
 
 
 def correct(
-    config: Config, given: WeightsConfig, model: LinearVibration, method: str, readings: Readings, rotor: RotorModel
+    config: Config, given: WeightsConfig, model: LinearVibration, method: str, readings: Conditions, rotor: RotorModel
 ) -> dict[str, Any]:
     """Choose, print and summarise the correction weights."""
     source, asked = SourceUnits(config.machine.recordings), config.balance

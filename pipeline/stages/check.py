@@ -36,8 +36,8 @@ def run(analysis: Analysis) -> StageOutput:
             name, thresholds.read_rules(THRESHOLDS / f"{name}.yaml"), beside / name, committed
         )
     _print_changed(checks, config.check.changed)
-    rows = [[c.experiment, c.metric, *_show(c)] for c in checks]
-    table("metrics against thresholds", ["experiment", "metric", "value", "limit", ""], rows)
+    header = ["experiment", "metric", "value", "limit", ""]
+    table("metrics against thresholds", header, [[c.experiment, c.metric, *_show(c)] for c in checks])
     failed = [c for c in checks if not c.met]
     if config.check.commit:
         _commit(config, failed, checks)
@@ -46,13 +46,9 @@ def run(analysis: Analysis) -> StageOutput:
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
-    summary = {
-        "checked": len(checks),
-        "failed": len(failed),
-        "share_of_threshold": thresholds.find_nearest_limits(checks),
-    }
-    path = write_json(beside / "check.json", summary)
-    return StageOutput(summary, files=[path], exit_code=1 if failed else 0)
+    nearest_limits = thresholds.find_nearest_limits(checks)
+    summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": nearest_limits}
+    return StageOutput(summary, files=[write_json(beside / "check.json", summary)], exit_code=1 if failed else 0)
 
 
 def _show(check: Check) -> list[str]:

@@ -22,7 +22,7 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.accuracy_design import Designed, reach_accuracy, reach_numbers
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.diagnose import describe_noise
+from pipeline.stages.before_fit import describe_noise
 from pipeline.stages.execution import StageOutput
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.excitation_files import write_excitation
 from pipeline.data.operating import describe_points
 from pipeline.data.tables import read_marks
-from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
-from pipeline.problem.configured import find_idle, list_known, model_machine, read_probes
+from pipeline.problem.configured import find_idle, model_machine, read_probes
 from pipeline.reporting.console import say, warn
-from pipeline.stages.analysis import Analysis, hash_origin, require_own
+from pipeline.stages.analysis import Analysis, require_own
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import write_data
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
@@ -30,11 +28,7 @@ def run(analysis: Analysis) -> StageOutput:
         )
     rotor, bearings, complete = model_machine(config)
     dataset = read_probes(config, rotor, complete)
-    write_excitation(work.excitation, dataset)
-    write_coefficients(work.modelled, bearings)
-    write_coefficients(work.known, bearings, list_known(config, rotor.bearing_nodes))
-    made_for = {"rotor": rotor.fingerprint, "origin": hash_origin(config, work)}
-    write_vibration(work.vibration, dataset, made_for)
+    *written, _ = write_data(config, dataset, bearings, bearings, rotor.fingerprint)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
     say(
@@ -58,7 +52,7 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(
         metrics={"stability": stability},
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
-        files=[work.excitation, work.known, work.modelled],
+        files=written,
     )
 
 

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pipeline.config.measured import MeasuredConfig
 from pipeline.config.schema import Config
-from pipeline.data.coefficient_files import write_coefficients
-from pipeline.data.dataset import VibrationDataset
-from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_marks
-from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import read_measured_runs
 from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
 from pipeline.ingest.records import to_dataset
-from pipeline.problem.configured import list_known, load_known
+from pipeline.problem.configured import load_known
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
 from pipeline.stages.analysis import Analysis, Workspace, require_own
 from pipeline.stages.execution import StageOutput
+from pipeline.stages.measurement import write_data
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -40,9 +35,20 @@ def run(analysis: Analysis) -> StageOutput:
         )
     rotor = load_rotor(config.machine.rotor)
     require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in recordings.probes.values()])
-    ingested = (_read_records if recordings.planes else _read_runs)(config, recordings, rotor)
-    written = _write_data(analysis, recordings, rotor, ingested.dataset)
-    written += [write_json(work.folder / "ingest.json", ingested.summary), *ingested.draw(work.figure)]
+    if recordings.planes:
+        require_nodes(rotor, "machine.recordings.weights", recordings.planes)
+        ingested = describe_records(recordings, to_dataset(recordings.read_records()))
+    else:
+        ingested = _read_runs(config, recordings, rotor)
+    data, machine = ingested.dataset, config.machine
+    points = (data.speeds, data.operating)
+    known = load_known(config, recordings.known, "machine.recordings.known", rotor.bearing_nodes, *points)
+    modelled = load_modelled_bearings(machine.rotor, machine.bearings, *points) if recordings.synthetic else None
+    written = [
+        *write_data(config, data, known, modelled),
+        write_json(work.folder / "ingest.json", ingested.summary),
+        *ingested.draw(work.figure),
+    ]
     print_ingested(config.name, recordings, ingested, work.vibration)
     if not work.known.exists():
         say(
@@ -51,10 +57,9 @@ def run(analysis: Analysis) -> StageOutput:
         )
     for note in ingested.summary["notes"]:
         warn(note)
-    counts = {"runs": ingested.dataset.runs, "speeds": ingested.dataset.speeds}
     return StageOutput(
-        metrics={f"ingest.{name}": float(len(values)) for name, values in counts.items()},
-        tags={"data_fingerprint": ingested.dataset.fingerprint},
+        metrics={"ingest.runs": float(len(data.runs)), "ingest.speeds": float(len(data.speeds))},
+        tags={"data_fingerprint": data.fingerprint},
         files=written,
     )
 
@@ -79,27 +84,3 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
     notes = [*note_casing(recordings.probes, rotor.bearing_nodes), *measured.notes, *note_whirl(measured.recorded)]
     notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)
-
-
-def _read_records(config: Config, recordings: MeasuredConfig, rotor: RotorModel) -> Ingested:
-    """Raises as :func:`_read_runs`."""
-    require_nodes(rotor, "machine.recordings.weights", recordings.planes)
-    return describe_records(recordings, to_dataset(recordings.read_records()))
-
-
-def _write_data(
-    analysis: Analysis, recordings: MeasuredConfig, rotor: RotorModel, data: VibrationDataset
-) -> list[Path]:
-    """The vibration comes last; coefficients of data that were there before go."""
-    config, work, machine = analysis.config, analysis.files, analysis.config.machine
-    nodes, points = rotor.bearing_nodes, (data.speeds, data.operating)
-    known = load_known(config, recordings.known, "machine.recordings.known", nodes, *points)
-    modelled = load_modelled_bearings(machine.rotor, machine.bearings, *points) if recordings.synthetic else None
-    written = [write_excitation(work.excitation, data)]
-    every = ((work.known, known, list_known(config, nodes)), (work.modelled, modelled, None))
-    for path, coefficients, names in every:
-        if coefficients is None:
-            path.unlink(missing_ok=True)
-        else:
-            written.append(write_coefficients(path, coefficients, names))
-    return [*written, write_vibration(work.vibration, data)]

@@ -4,31 +4,19 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
-from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
-from pipeline.evaluation.repeats import summarize_starts, tabulate_starts
+from pipeline.evaluation.repeats import choose_starts, summarize_starts, tabulate_starts
 from pipeline.files import write_json
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import Outcome, minimise, setup_of
 from pipeline.reporting.console import training_progress
 from pipeline.reporting.training import draw_robustness, print_starts
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.before_fit import say_diagnosis, say_promoted
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import load_modelled, prepare
-from pipeline.stages.train import say_promoted
 from pipeline.twin.twin import measure_unseen
-
-
-def choose_starts(config: Config) -> np.ndarray:
-    """(G,) initial stiffnesses in N/m, log-spaced, or seeds."""
-    spec = config.robustness
-    if spec.over == "seed":
-        return np.array(spec.seeds)
-    return np.geomspace(spec.lowest_stiffness, spec.highest_stiffness, spec.count)
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -50,7 +38,7 @@ def run(analysis: Analysis) -> StageOutput:
         )
     training = prepare_residual(measurement, setup)
     say_diagnosis(analysis)
-    starts, begin = choose_starts(config), partial(initial_parameters, training, setup)
+    starts, begin = choose_starts(config.robustness), partial(initial_parameters, training, setup)
     by_seed = config.robustness.over == "seed"
     first = [begin(int(start)) if by_seed else begin(config.seed, float(start)) for start in starts]
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:

@@ -6,10 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from pipeline.config.promotion import get_value, has_value
-from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
 from pipeline.files import hash_file, write_json
@@ -21,7 +17,6 @@ from pipeline.identification.storage import save_model
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
-from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import say, training_progress, warn
 from pipeline.reporting.fit_tables import (
     describe_law,
@@ -34,68 +29,19 @@ from pipeline.reporting.fit_tables import (
     tabulate_unbalance,
 )
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.diagnose import describe_noise, say_diagnosis
+from pipeline.stages.before_fit import describe_noise, say_beforehand
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.trust.misfit import measure_misfit
-from pipeline.write_numbers import write_value
-
-
-def say_promoted(config: Config) -> None:
-    """Say which values of a study are in force, and which the command line overrode."""
-    promoted = config.promoted
-    if promoted is None:
-        return
-    source = f"study '{promoted.study}' (trial {promoted.trial})"
-    if not promoted.in_force and not promoted.overridden:
-        say(f"{config.name}: configured values, which {source} found no better ones for")
-        return
-    changed = {key: value for key, value in promoted.in_force.items() if promoted.configured.get(key) != value}
-    before = {key: write_value(promoted.configured.get(key, "-")) for key in changed}
-    pairs = (f"{key} {before[key]} -> {write_value(value)}" for key, value in changed.items())
-    losses = promoted.held_out_loss
-    phrases = [
-        f"{config.name}: tuned values of {source} in force: {', '.join(pairs) or 'none'}",
-        f"on held-out speeds their loss is {write_value(losses.promoted)}, that of the configured values (tuned=false) "
-        f"{write_value(losses.configured)}: medians over the seeds of the study",
-    ]
-    if promoted.overridden:
-        now = {key: get_value(config, key) for key in promoted.overridden if has_value(config, key)}
-        phrases.append(f"given on the command line instead of tuned: {_format_values(now)}")
-    say("\n".join(phrases))
-
-
-def _format_values(values: Mapping[str, object]) -> str:
-    return ", ".join(f"{key}={write_value(value)}" for key, value in values.items()) or "none"
-
-
-def list_idle(kind: str, measurement: Measurement) -> list[str]:
-    """The operating conditions that change in the data, and that a model of this kind does not depend on."""
-    changing = [name for name, values in measurement.dataset.operating.items() if np.ptp(values) > 0]
-    if kind == "law" and measurement.laws:
-        return [name for name in changing if name not in measurement.laws.inputs]
-    return changing if kind == "constant" else []
 
 
 def run(analysis: Analysis) -> StageOutput:
     """Fit, keep the best state, and write model, coefficients, history and quality."""
     config, measurement = analysis.config, prepare(analysis)
     use_threads(config)  # torch is imported when the data have been found sound
-    say_promoted(config)
-    for name in list_idle(config.model.kind, measurement):
-        warn(
-            f"{config.name}: {name} changes in the data, and model={config.model.kind} has no input for it: its answer "
-            "is the same at all values (model=network_operating has one)"
-        )
-    say_diagnosis(analysis)
-    diagnosis = diagnose(analysis)
-    if not diagnosis.by_least_squares:
-        warn(
-            f"{config.name}: the sensors are too few to tell the force at every bearing, so the fit starts at "
-            "several sizes of model.initial_stiffness and model.initial_damping, and may end beside the best answer"
-        )
+    say_beforehand(analysis)
     with training_progress(config.name) as progress:
-        fitted = fit(measurement, setup_of(config), progress, diagnosis)
+        fitted = fit(measurement, setup_of(config), progress, diagnose(analysis))
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
     after = _deviations(analysis, answer)
     determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
@@ -125,10 +71,8 @@ def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
 
 def _summarize(fitted: Fit) -> dict[str, object]:
     # A loss that overflowed is no JSON number.
-    summary: dict[str, object] = {"loss": finite(fitted.loss), "steps": fitted.steps}
-    if fitted.held_out_loss is not None:
-        summary["held_out_loss"] = finite(fitted.held_out_loss)
-    return summary | dict(fitted.quality.summary)
+    held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
+    return {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
 
 
 def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str, object]) -> list[Path]:

@@ -17,7 +17,7 @@ from pipeline.reporting.console import say
 from pipeline.reporting.study_files import AGAIN, STUDY_FILES, SUMMARY, write_study
 from pipeline.reporting.study_report import StudyReport, summarize_study
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.diagnose import say_diagnosis
+from pipeline.stages.before_fit import say_diagnosis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.stages.studies import pose_study, record_trial, say_interrupt, search
@@ -35,9 +35,8 @@ def run(analysis: Analysis) -> StageOutput:
     if is_shared(config.tuning):
         # One that can't be reached is said at once, before the data are read.
         close_storage(open_storage(config.tuning))
-    measurement = prepare(analysis)
-    problem, folder = pose_study(config, measurement), Path(config.tuning.folder)
-    require_study(measurement, setup_of(config))
+    problem, folder = pose_study(config, prepare(analysis)), Path(config.tuning.folder)
+    require_study(problem.measurement, setup_of(config))
     say_diagnosis(analysis)
     started = time.perf_counter()
     with say_interrupt(f"{config.name}: study"):

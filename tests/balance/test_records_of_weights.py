@@ -11,7 +11,7 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.records import average_records, describe_conditions, predict_records
+from pipeline.balance.records import average_records, predict_records
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.errors import DataError
 from pipeline.ingest.records import Records
@@ -111,8 +111,7 @@ def test_the_vibration_of_known_weights_and_its_bands() -> None:
 
 def test_the_experiments_own_conditions_are_readings() -> None:
     conditions = MACHINE.draw(np.random.default_rng(6), 4)
-    readings = describe_conditions(conditions)
-    found = estimate_all(readings, [RIG] * 4)
+    found = estimate_all(conditions, [RIG] * 4)
     assert found.readings.counts.min() == 3
     assert np.abs(found.unbalance - conditions.unbalance).max() < 30 * GRAM
 

@@ -90,12 +90,12 @@ def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> No
     import torch
 
     from benchmarks.training import endless
+    from pipeline.evaluation.repeats import choose_starts
     from pipeline.identification.residual_loss import initial_parameters, prepare_residual
     from pipeline.identification.training import minimise
-    from pipeline.stages.robustness import choose_starts
 
     made = machine("experiment=ball_bearing")
-    setup, guesses = endless(made.config), choose_starts(made.config)
+    setup, guesses = endless(made.config), choose_starts(made.config.robustness)
     assert (len(guesses), guesses[0], guesses[-1]) == (81, 1.0, pytest.approx(1e8))
     prepared = prepare_residual(made.measurement, setup)
     together = torch.cat([initial_parameters(prepared, setup, made.config.seed, float(guess)) for guess in guesses])

@@ -20,8 +20,8 @@ from pipeline.problem.configured import find_idle, model_machine
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import hash_machine
+from pipeline.stages.before_fit import list_idle
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.train import list_idle
 
 pytestmark = pytest.mark.slow
 STATES = "machine.operating={oil_temperature: [65 degC, 45 degC], load: [500 N, 700 N]}"

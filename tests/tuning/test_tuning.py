@@ -238,7 +238,7 @@ def test_promoted_values_of_another_kind_of_model_are_refused(study: Path) -> No
 
 
 def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from pipeline.stages.train import say_promoted
+    from pipeline.stages.before_fit import say_promoted
 
     say_promoted(compose_config([f"tuning.promoted={study}", "model.width=24"]))
     said = capsys.readouterr().out
