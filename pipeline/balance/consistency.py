@@ -31,7 +31,6 @@ def find_contradictions(
 
     size, n = conditions.vectors.shape[1], len(conditions.names)
     columns = 1 + len(conditions.planes)
-    steps = int(most * n)
     if n - columns - 1 < size + 2:
         raise IdentifiabilityError(
             f"a condition can be judged by more than {size + columns + 2} others (the entries of a vector, and the "
@@ -42,7 +41,7 @@ def find_contradictions(
     chances: list[float] = []
     growth = fit_influence(conditions, law=law).growth  # robust: gross conditions are not taken for growth
     squared = distances(conditions, fit_influence(conditions, law=law, robust=False, growth=growth))
-    while len(removed) < steps and len(left) - columns - 2 >= size + 2:
+    while len(removed) < int(most * n) and len(left) - columns - 2 >= size + 2:
         far, among = int(np.argmax(squared)), len(left)
         gross = float(squared[far])
         removed.append(left.pop(far))

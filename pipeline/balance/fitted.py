@@ -75,8 +75,8 @@ def blend(
     scale = np.where(size > 0, size, 1.0)
     scaled = design / scale * np.sqrt(weights)[:, None]
     rest = (conditions.vectors - physical.predict(conditions.unbalance)[0]) * np.sqrt(weights)[:, None]
-    root = np.linalg.cholesky(noise.covariance(np.array([np.mean(conditions.counts)]))[0])
-    white = np.linalg.solve(root, rest.T).T  # (C, D)
+    typical = noise.covariance(np.array([np.mean(conditions.counts)]))[0]
+    white = np.linalg.solve(np.linalg.cholesky(typical), rest.T).T  # (C, D)
     tried = np.concatenate([[0.0], np.logspace(-decades, decades, 6 * decades + 1)])
     sizes = max(itertools.product(tried, tried), key=lambda pair: _evidence(scaled, white, pair))
     prior = _columns(sizes, design.shape[1])

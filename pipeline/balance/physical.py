@@ -49,8 +49,7 @@ class Physical(LinearVibration):
         by_number = np.tensordot(acting, slopes, 1)  # (C, D, Z)
         for z, change in self._law_changes(weights):
             by_number[..., z] += change @ rows[1:]
-        covariance = by_number @ self.covariance @ by_number.conj().swapaxes(1, 2)
-        return acting @ rows, covariance
+        return acting @ rows, by_number @ self.covariance @ by_number.conj().swapaxes(1, 2)
 
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
@@ -59,8 +58,7 @@ class Physical(LinearVibration):
     @property
     def _law(self) -> complex:
         """a of the weights' law U (1 + a |U|), 1/(kg m)."""
-        values = self.measurement.parameter_values
-        every = zip(self.measurement.parameters, values, strict=True)
+        every = zip(self.measurement.parameters, self.measurement.parameter_values, strict=True)
         return sum((v * p.deviation * PARTS[p.detail] for p, v in every if p.kind == "weight_law"), 0j)
 
     def _law_changes(self, weights: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:

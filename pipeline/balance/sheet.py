@@ -58,9 +58,9 @@ def find_state(vibration: LinearVibration, readings: Conditions, asked: BalanceC
             f"{nearest(str(asked.condition), readings.names)}"
         )
     c = readings.names.index(asked.condition)
-    shown, known = readings.displacement[c].ravel(), readings.unbalance[c]
-    weights = nothing if np.isnan(known).any() else known
-    return State(shown=shown, remove=shown - bare if asked.remove == "condition" else shown, weights=weights)
+    shown, known = readings.vectors[c], readings.unbalance[c]
+    remove = shown - bare if asked.remove == "condition" else shown
+    return State(shown=shown, remove=remove, weights=nothing if np.isnan(known).any() else known)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -42,7 +42,7 @@ def write_coefficients(
 
 
 def tabulate_coefficients(
-    table: BearingTable, of: Mapping[int, Sequence[str]] | None = None, deviation: np.ndarray | None = None
+    table: BearingTable, named: Mapping[int, Sequence[str]] | None = None, deviation: np.ndarray | None = None
 ) -> Columns:
     """The columns of :func:`write_coefficients`, bearing by bearing.
 
@@ -54,7 +54,7 @@ def tabulate_coefficients(
         "speed_rpm": np.tile(to_rpm(table.speeds), n_bearings),
         **{name: np.tile(values, n_bearings) for name, values in list_columns(table.operating).items()},
     }
-    named = of or dict.fromkeys(table.nodes, COEFFICIENTS)
+    named = named or dict.fromkeys(table.nodes, COEFFICIENTS)
     for name in _list_kinds(named, table.nodes):
         written = np.array([name in named[node] for node in table.nodes])
         columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
@@ -208,8 +208,6 @@ def _interpolate_known(table: Columns, rpm: np.ndarray, where: str, rounding: fl
 
 
 def _interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    if len(given) == 1:
-        return np.full(len(wanted), column[0])
     if len(given) < 4 or np.isin(wanted, given).all():
         return np.interp(wanted, given, column)
     from scipy.interpolate import CubicSpline

@@ -178,8 +178,6 @@ def find_points(
 
 def join(values: np.ndarray, within: float) -> np.ndarray:
     """Values (n,), in their place the means of groups that span no more than ``within``; the lowest begins a group."""
-    if not within:
-        return values
     different, at = np.unique(values, return_inverse=True)
     group, first = np.zeros(len(different), dtype=int), different[0]
     for i in range(1, len(different)):

@@ -107,7 +107,7 @@ def tabulate(*states: Exported) -> dict[str, Any]:
         tabulate_coefficients(replace(state.table, values=state.values), deviation=state.tables.get("std"))
         for state in states
     ]
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    columns = {name: np.concatenate([piece[name] for piece in parts]) for name in parts[0]}
     if states[0].units == "si":
         return columns
     units = {name: "_lb_per_in" if is_stiffness(name) else "_lb_s_per_in" for name in COEFFICIENTS}

@@ -264,10 +264,11 @@ def _summarize(answered: Sequence[Result], node: str | None, name: str | None) -
     import pandas as pd
 
     answers = [each[name] for r in answered for at, each in r.coefficients.items() if at == node and name in each]
-    kinds = ("p95_error", "median_deviation", "within_interval")
-    table = pd.DataFrame(answers, columns=["median_error", *kinds], dtype=float)
+    table = pd.DataFrame(
+        answers, columns=["median_error", "p95_error", "median_deviation", "within_interval"], dtype=float
+    )
     errors = table["median_error"]
     numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}
     numbers = {"median_error_percent": errors.mean(), **numbers}
-    numbers |= {f"{key}_percent": table[key].mean() for key in kinds}
+    numbers |= {f"{key}_percent": table[key].mean() for key in ("p95_error", "median_deviation", "within_interval")}
     return {key: None if np.isnan(number) else float(number) for key, number in numbers.items()}

@@ -16,8 +16,7 @@ from pipeline.stages.verdict import say_reservation
 def run(analysis: Analysis) -> StageOutput:
     """The folder ``export``, which takes the place of an earlier one as a whole. Trains first where there is no fit."""
     config, answer, work = analysis.config, restore(analysis), analysis.files
-    updated = answer.measurement
-    states = [export_at(config, answer, state) for state in list_states(config, updated.dataset)]
+    states = [export_at(config, answer, state) for state in list_states(config, answer.measurement.dataset)]
     physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
     numbers = [
         Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
@@ -26,7 +25,7 @@ def run(analysis: Analysis) -> StageOutput:
     reservation = say_reservation(analysis)
     folder = write_folder(
         work.folder / "export",
-        lambda beside: notes.extend(write_exports(beside, config, updated, states, numbers, reservation)),
+        lambda beside: notes.extend(write_exports(beside, config, answer.measurement, states, numbers, reservation)),
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))

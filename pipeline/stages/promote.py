@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from shutil import copyfile
 
 from pipeline.config.promotion import BEST, apply_values, read_promoted
 from pipeline.config.schema import Config
@@ -48,13 +50,10 @@ def run(analysis: Analysis) -> StageOutput:
     rows = [[str(target / name), change] for name, change in changes.items() if change]
     table(f"{config.name}: study '{promoted.study}' (trial {promoted.trial}) is promoted", ["file", ""], rows)
     # What training reads comes last: stopped in between, training still has the values of before.
-    written = [_copy(source / name, target / name) for name in sorted(files, key=lambda name: name.name == BEST)]
+    last = sorted(files, key=lambda name: name.name == BEST)
+    written = [write_beside(target / name, partial(copyfile, source / name)) for name in last]
     say(f"{config.name}: training uses '{target / BEST}' from now on")
     return StageOutput(files=written)
-
-
-def _copy(source: Path, target: Path) -> Path:
-    return write_beside(target, lambda path: path.write_bytes(source.read_bytes()))
 
 
 def _compare(new: Path, old: Path) -> str:

@@ -121,12 +121,10 @@ def superpose_unseen(
     conditions of the prediction, at every speed.
     """
     dataset, node = measurement.dataset, machine.prediction.node
-    if dataset.operating:
-        mask = mask_state(dataset.operating, operating)
-        mask &= dataset.present.all(axis=1)
-        if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
-            return None
-        dataset = dataset.at(mask)
+    mask = mask_state(dataset.operating, operating) & dataset.present.all(axis=1)
+    if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
+        return None
+    dataset = dataset.at(mask)
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
