@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import write_coefficients
@@ -103,20 +104,13 @@ def run(analysis: Analysis) -> StageOutput:
 _FIGURES = {"identified": "", "stiffness": "k", "damping": "c"}
 
 
-def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, object]]:
+def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, Any]]:
     """What no fit saw, beside what superposition and interpolation make of it without a bearing model."""
-    summary: dict[str, dict[str, object]] = {}
-    for held_out in compare_held_out(answer.measurement, answer.table, answer.unbalance, config.training):
-        rpm, rival = to_rpm(held_out.speeds), "interpolation"
-        what = f"{'range of ' if held_out.together else ''}speeds, {rpm.min():g} to {rpm.max():g} rpm"
-        if held_out.run is not None:
-            what, rival = f"run {held_out.run}", "influence coefficients"
-        elif held_out.state:
-            what = f"conditions, {held_out.state}"
-        said = "no answer" if held_out.rival is None else f"{held_out.rival:.3g} %"
+    compared = compare_held_out(answer.measurement, answer.table, answer.unbalance, config.training)
+    for what, held_out in compared.items():
+        model, rival = held_out["model_error_percent"], held_out["rival_error_percent"]
         told = "no prediction, since coefficients leave all bounds where nothing was fitted"
-        if held_out.model is not None:
-            told = f"predicted to {held_out.model:.3g} % (root mean square)"
-        say(f"{config.name}: held-out {what}: {told}; by {rival}: {said}")
-        summary[what] = {"model_error_percent": held_out.model, "rival": rival, "rival_error_percent": held_out.rival}
-    return summary
+        told = told if model is None else f"predicted to {model:.3g} % (root mean square)"
+        said = "no answer" if rival is None else f"{rival:.3g} %"
+        say(f"{config.name}: held-out {what}: {told}; by {held_out['rival']}: {said}")
+    return compared

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from pipeline.config.identification import TrainingConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.operating import name_state, split_states
 from pipeline.data.simulate import solve_response
+from pipeline.data.vibration_files import write_range
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import finite
@@ -164,30 +166,20 @@ def interpolate_response(dataset: VibrationDataset, seen: np.ndarray) -> np.ndar
     return None if seen.all() else drawn[~seen]
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """A run, or speeds, that no fit saw: what the model and what a method without one make of it, in percent."""
-
-    run: str | None  # None where speeds of all fitted runs were held out
-    speeds: np.ndarray  # rad/s
-    together: bool  # the speeds are a whole range, not one here and there
-    model: float | None  # None where the coefficients leave all bounds
-    rival: float | None  # of influence coefficients for a run, of interpolation for speeds; None without an answer
-    state: str = ""  # the operating conditions that were held out as a whole
-
-
 def compare_held_out(
     measurement: Measurement, bearings: BearingTable, unbalance: np.ndarray | None, training: TrainingConfig
-) -> list[HeldOut]:
-    """Each held-out run beside influence coefficients, held-out speeds beside interpolation of the fitted runs.
+) -> dict[str, dict[str, Any]]:
+    """What no fit saw, by its name, as ``metrics.json`` has it: what the model makes of it, and a rival without one.
 
+    ``model_error_percent`` is None where the coefficients leave all bounds. The ``rival`` is that of influence
+    coefficients for a run, and interpolation of the fitted runs for speeds; its error is None where it has no answer.
     ``measurement`` is at the fitted model parameters, ``bearings`` and the residual ``unbalance`` (N,) kg m are fitted.
     """
     dataset = measurement.dataset
     predicted = np.where(dataset.present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
     measured, out = dataset.displacement, held_out_runs(measurement, training)
     fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
-    compared = []
+    compared = {}
     for r in out:
         acting, planes = dataset.excitation_of(int(r)), measurement.unknowns.planes
         shares = find_shares(dataset, fitted.tolist(), acting, dataset.frequencies[:, r], bool(planes))
@@ -195,21 +187,23 @@ def compare_held_out(
         told = shares is not None and beside.any()
         error = error_percent((measured @ shares)[beside], measured[beside, :, r]) if told else None
         model = _model_error(predicted[..., r], measured[..., r])
-        compared.append(HeldOut(dataset.runs[r], dataset.speeds, True, model, error))
+        rival = {"rival": "influence coefficients", "rival_error_percent": error}
+        compared[f"run {dataset.runs[r]}"] = {"model_error_percent": model, **rival}
     every = held_out_speeds(len(dataset.speeds), training.holdout_every)
     together = held_out_range(dataset.speeds, training)
     away = held_out_conditions(dataset.operating, training, len(dataset.speeds))
     known = ~every & ~together & ~away
-    state = name_state({name: values[away] for name, values in dataset.operating.items()}) if away.any() else ""
-    for mask in (every & ~together & ~away, together & ~away, away):
+    for mask, kind in ((every & ~together & ~away, ""), (together & ~away, "range of "), (away, "")):
         if not mask.any():
             continue
         whole, aim, left = mask is away, measured[mask][..., fitted], known | mask
         drawn = None if whole else interpolate_response(dataset.at(left).of_runs(fitted), known[left])
         error = None if drawn is None else error_percent(drawn, aim)
         model = _model_error(predicted[mask][..., fitted], aim)
-        in_a_row = whole or bool((mask & together).any())
-        compared.append(HeldOut(None, dataset.speeds[mask], in_a_row, model, error, state if whole else ""))
+        what = f"{kind}speeds, {write_range(dataset.speeds[mask])}"
+        if whole:
+            what = f"conditions, {name_state({name: values[away] for name, values in dataset.operating.items()})}"
+        compared[what] = {"model_error_percent": model, "rival": "interpolation", "rival_error_percent": error}
     return compared
 
 

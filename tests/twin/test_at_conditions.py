@@ -132,9 +132,10 @@ def test_a_state_that_was_held_out_is_judged_by_itself() -> None:
     training = SimpleNamespace(
         holdout_every=0, holdout_range=None, holdout_runs=(), holdout_operating={"oil_temperature": 65.0 + 273.15}
     )
-    (found,) = compare_held_out(measurement, bearings, None, training)
-    assert found.state == "65 degC"
-    assert found.rival is None
-    np.testing.assert_array_equal(found.speeds, SPEEDS)
+    ((what, found),) = compare_held_out(measurement, bearings, None, training).items()
+    assert what == "conditions, 65 degC"
+    assert found["rival_error_percent"] is None
     there = measurement.dataset.at(np.arange(2 * len(SPEEDS), 3 * len(SPEEDS)))
-    assert found.model == pytest.approx(100 * NOISE / np.sqrt((np.abs(there.displacement) ** 2).mean()), rel=0.5)
+    assert found["model_error_percent"] == pytest.approx(
+        100 * NOISE / np.sqrt((np.abs(there.displacement) ** 2).mean()), rel=0.5
+    )
