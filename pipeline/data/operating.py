@@ -110,10 +110,10 @@ def read_with_conditions(
             conditions.update(find_columns(names, tuple(declared)))
         except ValueError as error:
             raise DataError(f"'{path}' {error}") from None
-        return dict(optional or {}) | {one.column: "number or blank" for one in conditions.values()}
+        return dict(optional or {}) | {condition.column: "number or blank" for condition in conditions.values()}
 
     table = read_table(path, columns, list_further, text)
-    operating = {name: one.to_si(table.pop(one.column)) for name, one in conditions.items()}
+    operating = {name: condition.to_si(table.pop(condition.column)) for name, condition in conditions.items()}
     for name, condition in conditions.items():
         cold = np.flatnonzero(operating[name] <= 0)
         if len(cold) and column_of(name).unit in ("degC", "degF"):

@@ -35,16 +35,16 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
             levels |= _look_up(logged, run, tracks, speeds, f"'{config.conditions_file}'")
         levels |= {name: np.full(len(speeds), value) for name, value in run.operating.items()}
         conditions.append(levels)
-    names = list(dict.fromkeys(name for own in conditions for name in own))
+    names = list(dict.fromkeys(name for levels in conditions for name in levels))
     for name in names:
-        without = [run.name for run, own in zip(config.runs, conditions, strict=True) if name not in own]
+        without = [run.name for run, levels in zip(config.runs, conditions, strict=True) if name not in levels]
         if without:
             raise DataError(
                 f"every run must have every operating condition, but run '{without[0]}' has no {name} "
                 f"({len(without)} of {len(conditions)} runs): give it as operating={{{name}: ..}} of the run, or in "
                 "machine.recordings.conditions_file"
             )
-    return {name: np.stack([own[name] for own in conditions], axis=1) for name in names}
+    return {name: np.stack([levels[name] for levels in conditions], axis=1) for name in names}
 
 
 def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:

@@ -98,8 +98,8 @@ def _require_same(
     if len(track.speeds) == len(speeds) and np.allclose(track.speeds, speeds, rtol=same, atol=0):
         return
     first = every[0][0].name
-    start = max(float(one.speeds[0]) for _, _, one in every) / RAD_S_PER_RPM
-    stop = min(float(one.speeds[-1]) for _, _, one in every) / RAD_S_PER_RPM
+    start = max(float(other.speeds[0]) for _, _, other in every) / RAD_S_PER_RPM
+    stop = min(float(other.speeds[-1]) for _, _, other in every) / RAD_S_PER_RPM
     common = f"all of them cover {start:.6g} to {stop:.6g} rpm" if start <= stop else "no speed is covered by all"
     raise DataError(
         f"all runs must have the same speeds where machine.recordings.speeds is null, but run '{run.name}' has "

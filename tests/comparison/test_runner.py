@@ -211,8 +211,7 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
 
 def row(method: str, noise: float, error: float | None, data_set: int = 0, **changed: Any) -> Result:
     """A result with one coefficient, or without an answer."""
-    unstated = dict.fromkeys(("median_deviation", "within_interval"))
-    found = {} if error is None else {"1": {"kxx": {"median_error": error, "p95_error": error} | unstated}}
+    kxx = {"median_error": error, "p95_error": error, "median_deviation": None, "within_interval": None}
     values = {
         "method": method,
         "case": Case(noise, "bearings", 10, data_set),
@@ -220,7 +219,7 @@ def row(method: str, noise: float, error: float | None, data_set: int = 0, **cha
         "words": "",
         "doubt": "",
         "seconds": 1.0,
-        "coefficients": found,
+        "coefficients": {} if error is None else {"1": {"kxx": kxx}},
     }
     return Result.model_validate(values | changed)
 
