@@ -53,7 +53,7 @@ BUDGETS = {
     "bindings named by empty words": (114, 200),
     "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (659, 380),
+    "functions entered by ingest and train of measured_demo": (661, 380),
     "their files": (106, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
