@@ -46,13 +46,16 @@ def make_error_table(
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
             share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+            before = (
+                {"least_squares_mean_error_percent": beside[str(node)][name]["mean_error_percent"]} if beside else {}
+            )
             row = {
                 "bearing_node": node,
                 "coefficient": name,
                 "modelled": shown.modelled[b, :, c].mean(),
                 "identified": answer.values[b, :, c].mean(),
                 **error,
-                **({"least_squares_mean_error_percent": beside[str(node)][name]["mean_error_percent"]} if beside else {}),
+                **before,
                 "median_std_percent": float(100 * share),
                 "verdict": verdicts.get((node, name)),
             }
