@@ -23,8 +23,7 @@ from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.studies import pose_study
-from pipeline.tuning.attempts import list_results
-from pipeline.tuning.storage import close_storage, open_storage
+from pipeline.tuning.storage import close_storage, list_results, open_storage
 from pipeline.tuning.study import StudyProblem
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator
@@ -59,8 +59,10 @@ def _is_same(value: Any, choice: Value) -> bool:
     return bool(value == choice)
 
 
-class _Range(_Dimension):
-    kind: Literal["int", "float"]
+class FloatRange(_Dimension):
+    """Real numbers from ``low`` to ``high``, SI."""
+
+    kind: Literal["float"]
     key: Key
     low: float
     high: float
@@ -90,18 +92,12 @@ class _Range(_Dimension):
             yield f"must have low > 0 on a logarithmic scale, but got {self.low:g}"
 
 
-class IntegerRange(_Range):
+class IntegerRange(FloatRange):
     """Whole numbers from ``low`` to ``high`` inclusive."""
 
-    kind: Literal["int"]
+    kind: Literal["int"]  # type: ignore[assignment]
     low: int
     high: int
-
-
-class FloatRange(_Range):
-    """Real numbers from ``low`` to ``high``, SI."""
-
-    kind: Literal["float"]
 
 
 class Choice(_Dimension):
@@ -191,20 +187,16 @@ class TuningConfig(Section):
 
     @rule
     def _space(self) -> Iterator[str]:
-        seen: dict[str, Any] = {}
+        seen: dict[str, tuple[Value, ...]] = {}
         for name, dimension in self.space.items():
-            yield from _check_condition(name, dimension, seen)
-            seen[name] = dimension
-
-
-def _check_condition(name: str, dimension: _Dimension, earlier: Mapping[str, _Dimension]) -> Iterator[str]:
-    for other, values in dimension.when.items():
-        known = earlier[other].options() if other in earlier else ()
-        if not known:
-            yield f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
-        unknown = [value for value in values if value not in known]
-        if unknown or not values:
-            yield (
-                f"must have conditions that can hold, but space.{name}.when.{other} has {unknown or 'no value'} and "
-                f"the choices are {list(known)}"
-            )
+            for other, values in dimension.when.items():
+                if not seen.get(other):
+                    law = "must have conditions on choices that stand before them"
+                    yield f"{law}, but space.{name}.when names '{other}'"
+                unknown = [value for value in values if value not in seen[other]]
+                if unknown or not values:
+                    yield (
+                        f"must have conditions that can hold, but space.{name}.when.{other} has "
+                        f"{unknown or 'no value'} and the choices are {list(seen[other])}"
+                    )
+            seen[name] = dimension.options()

@@ -18,7 +18,7 @@ from pipeline.identification.residual_loss import ChebyshevFit
 from pipeline.reporting.blocks import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
-from pipeline.tuning.judging import describe_objective
+from pipeline.tuning.study import describe_objective
 from pipeline.write_numbers import write_number, write_value
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
 from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
-from pipeline.tracking.provenance import describe_provenance
+from pipeline.tracking.entries import describe_provenance
 from pipeline.twin.at_conditions import say_beyond
 
 _MOST_SPECTRA = 2

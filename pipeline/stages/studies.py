@@ -13,8 +13,8 @@ from pipeline.identification.fit import loss_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import study_progress, warn
 from pipeline.tracking import StageRecord
-from pipeline.tuning.attempts import list_results
 from pipeline.tuning.finalists import TrialSummary
+from pipeline.tuning.storage import list_results
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import run_study
 

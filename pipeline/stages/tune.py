@@ -22,9 +22,8 @@ from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.stages.studies import pose_study, record_trial, say_interrupt, search
 from pipeline.tuning.finalists import choose, hash_study, measure_importances, summarize, train_finalists
-from pipeline.tuning.judging import require_study
 from pipeline.tuning.storage import close_storage, is_shared, open_storage
-from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.study import StudyProblem, require_study
 
 
 def run(analysis: Analysis) -> StageOutput:

@@ -7,9 +7,8 @@ Importing this package imports neither MLflow nor pandas.
 
 from __future__ import annotations
 
-from pipeline.tracking.beside import recorder_beside
 from pipeline.tracking.entries import StageRecord
 from pipeline.tracking.store import find_trial_pages
-from pipeline.tracking.tracker import track
+from pipeline.tracking.tracker import recorder_beside, track
 
 __all__ = ["StageRecord", "find_trial_pages", "recorder_beside", "track"]

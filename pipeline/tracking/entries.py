@@ -1,11 +1,19 @@
-"""What a stage hands to the tracker, and the flat names and texts that MLflow accepts of it; MLflow is not needed."""
+"""What a stage hands to the tracker and what it was made with, and the flat names and texts that MLflow accepts of it;
+MLflow is not needed.
+"""
 
 from __future__ import annotations
 
+import getpass
+import importlib.metadata
 import json
 import math
+import os
+import platform
 import re
+import subprocess
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -129,3 +137,40 @@ def collect_history(
         values += finite
         skipped += others
     return values, list(dict.fromkeys(skipped))
+
+
+# --- what it was made with ---------------------------------------------------------------------------
+
+_PACKAGES = ("torch", "ross-rotordynamics", "mlflow", "numpy", "scipy", "hydra-core")
+
+
+def describe_provenance(code_folder: Path = Path(__file__).parent) -> dict[str, str]:
+    """Tags of the code in ``code_folder``, the interpreter and the packages; what is not known has no tag."""
+    tags = {
+        "version.python": platform.python_version(),
+        "mlflow.source.name": "pipeline",
+        "mlflow.source.type": "LOCAL",
+    }
+    for package in _PACKAGES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            tags[f"version.{package}"] = importlib.metadata.version(package)
+    with suppress(OSError, KeyError, ImportError):
+        tags["mlflow.user"] = getpass.getuser()
+    with suppress(OSError, subprocess.SubprocessError, UnicodeDecodeError):
+        tags["git.revision"] = tags["mlflow.source.git.commit"] = _run_git(code_folder, "rev-parse", "--verify", "HEAD")
+        tags["git.dirty"] = "true" if _run_git(code_folder, "status", "--porcelain") else "false"
+    return tags
+
+
+def _run_git(folder: Path, *arguments: str, timeout_seconds: float = 5.0) -> str:
+    """What git prints. Raises where there is no git, no repository, no commit or no answer in time."""
+    return subprocess.run(
+        ["git", "-C", str(folder), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout_seconds,
+        # Without optional locks "git status" never gets in the way of a person's or another stage's git.
+        env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
+        stdin=subprocess.DEVNULL,
+        check=True,
+    ).stdout.strip()

@@ -25,12 +25,8 @@ if TYPE_CHECKING:
 
     from pipeline.identification.identified import IdentifiedModel
 
-MODEL_NAME = "model"
 SPEED, NODE = "speed_rpm", "bearing_node"
-_PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
-_PREDICTOR = Path(__file__).with_name("predictor.py")
 _REQUIREMENTS = ("mlflow", "numpy", "pandas", "pydantic", "safetensors", "torch")
-_EXAMPLE_RPM = 1500.0
 
 
 def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
@@ -47,18 +43,19 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
     folder = record.model or Path()
     artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
     identified = load_model(folder)
-    example = pd.DataFrame({SPEED: [_EXAMPLE_RPM]} | _exemplify(identified))
+    example = pd.DataFrame({SPEED: [1500.0]} | _exemplify(identified))
     answer = tabulate_coefficients(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
     logged = client.create_logged_model(
         run.info.experiment_id,
-        name=MODEL_NAME,
+        name="model",
         source_run_id=run.info.run_id,
         params=flatten_parameters(record.parameters),
     )
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            _save(Path(scratch, MODEL_NAME), logged, infer_signature(example, answer), artifacts, example)
-            client.log_model_artifacts(logged.model_id, str(Path(scratch, MODEL_NAME)))
+            path = Path(scratch, "model")
+            _save(path, logged, infer_signature(example, answer), artifacts, example)
+            client.log_model_artifacts(logged.model_id, str(path))
         client.log_outputs(run.info.run_id, [LoggedModelOutput(logged.model_id, step=0)])
     except BaseException:
         client.finalize_logged_model(logged.model_id, LoggedModelStatus.FAILED)
@@ -119,9 +116,9 @@ def _save(
                 model_id=logged.model_id,
                 run_id=logged.source_run_id,
             ),
-            python_model=str(_PREDICTOR),
+            python_model=str(Path(__file__).with_name("predictor.py")),
             artifacts={name: str(artifact) for name, artifact in artifacts.items()},
-            code_paths=[str(_PACKAGE_FOLDER)],
+            code_paths=[str(Path(__file__).resolve().parents[1])],
             signature=signature,
             input_example=example,
             pip_requirements=_pin_requirements("pint" if len(example.columns) > 1 else None),

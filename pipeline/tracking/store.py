@@ -26,11 +26,8 @@ if TYPE_CHECKING:
     from pipeline.config.schema import TrackingConfig
 
 ARTIFACT_FOLDER = "mlruns"
-_CREATION_SECONDS = 60.0
 _SQLITE = "sqlite:///"
 _LOGGERS = ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")
-_NEVER = logging.CRITICAL + 1
-_LOCAL = "http://127.0.0.1:5000"
 
 
 @contextmanager
@@ -62,7 +59,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
 
         for logger in map(logging.getLogger, _LOGGERS):
             put_back.callback(logger.setLevel, logger.level)
-            logger.setLevel(_NEVER)
+            logger.setLevel(logging.CRITICAL + 1)
         yield
 
 
@@ -110,13 +107,14 @@ def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowCli
     return client, experiment.experiment_id
 
 
-def prepare_database(path: Path, timeout_seconds: float) -> None:
+def prepare_database(path: Path, timeout_seconds: float, creation_seconds: float = 60.0) -> None:
     """Make MLflow's database ``path`` where there is none, and see that it can be written.
 
     Safe in several processes at once. The database is filled under another name and then renamed, so that
     neither a second process nor a kill ever leaves a half-made one. A file ``<path>-lock`` stays beside it.
 
     :param timeout_seconds: how long another process may hold the database (s)
+    :param creation_seconds: how long it may take to make it (s)
     :raises StorageError: if it can't be made, read or written
     """
     import filelock
@@ -124,7 +122,7 @@ def prepare_database(path: Path, timeout_seconds: float) -> None:
     try:
         if not _is_filled(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            with filelock.FileLock(f"{path}-lock", timeout=max(_CREATION_SECONDS, timeout_seconds)):
+            with filelock.FileLock(f"{path}-lock", timeout=max(creation_seconds, timeout_seconds)):
                 if not _is_filled(path):
                     _create(path)
         _probe(path, timeout_seconds)
@@ -199,7 +197,7 @@ def find_trial_pages(settings: TrackingConfig) -> Callable[[str], dict[int, str]
 def _find(uri: str, study: str) -> dict[int, str]:
     from mlflow import MlflowClient
 
-    client, server = MlflowClient(tracking_uri=uri), uri if uri.startswith("http") else _LOCAL
+    client, server = MlflowClient(tracking_uri=uri), uri if uri.startswith("http") else "http://127.0.0.1:5000"
     start = "" if uri.startswith("http") else f" (served by `mlflow ui --backend-store-uri {uri}`)"
     experiments = [experiment.experiment_id for experiment in client.search_experiments()]
     named = study.replace("'", "\\'")

@@ -17,10 +17,9 @@ from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import open_pool
-from pipeline.tuning.attempts import list_results
-from pipeline.tuning.judging import Judged, judge
 from pipeline.tuning.space import translate
-from pipeline.tuning.study import StudyProblem
+from pipeline.tuning.storage import list_results
+from pipeline.tuning.study import Judged, StudyProblem, judge
 from pipeline.tuning.worker import ROUNDING
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from pipeline.config.promotion import apply_values, get_value
 from pipeline.config.schema import Config
 from pipeline.config.tuning import Dimension, TuningConfig, Value
 from pipeline.errors import ConfigError
-from pipeline.tuning.attempts import list_attempts
+from pipeline.tuning.storage import list_attempts
 
 if TYPE_CHECKING:
     import optuna

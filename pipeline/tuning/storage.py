@@ -4,6 +4,13 @@ By default it is an SQLite file of this machine; several machines share a Postgr
 heartbeats. SQLite costs 0.1 s a trial; an Optuna journal costs 5 ms, but has neither heartbeats nor a lock that is
 freed when its holder is killed. Four workers on one SQLite file, and two of which one was killed every few seconds,
 met no locked database, lost no trial and gave no number twice (Optuna 5.0.0).
+
+Trials that were stopped are repeated with their parameters. A trial whose worker died, was interrupted or met a bug is
+failed without a ``reason``, by Optuna's heartbeats or by its worker. Its parameters go to the queue again, under a
+number of Optuna's own and with the attribute ``repeats``. Optuna's RetryHeartbeatStaleTrialCallback would do so for the
+first of the three alone, and hand on what the dead worker had written on it. What a trial keeps is its *place*: its
+number among the trials that repeat none. The sampler draws by the place, and reports count by it, so that a study that
+was stopped is told like one that was not.
 """
 
 from __future__ import annotations
@@ -17,6 +24,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +34,10 @@ from pipeline.processes import run_within
 
 if TYPE_CHECKING:
     import optuna
+    from optuna.trial import FrozenTrial
 
 WORKER = "worker"
 """The attribute of a trial that names its worker, ``host:process``: set after the first heartbeat."""
-_LONGEST_REASON = 300
-_ATTEMPTS = 5
 
 
 def is_shared(config: TuningConfig) -> bool:
@@ -83,16 +90,16 @@ def translate_errors(
         ) from None
 
 
-def _tell_reason(error: BaseException) -> str:
+def _tell_reason(error: BaseException, longest: int = 300) -> str:
     """The main part of an error's text, on one line, without passwords."""
     cause = error.__cause__ or error
     text = str(getattr(cause, "strerror", None) or cause).partition("(Background on this")[0]
     text = without_password(re.sub(r"^\([\w.]+\)\s*", "", " ".join(text.split())) or type(cause).__name__)
     text = re.sub(r"[^\s'\"]+@", "***@", text)  # an "@" in a password makes the rest of it part of the host
-    return text[:_LONGEST_REASON].rstrip(".? ")
+    return text[:longest].rstrip(".? ")
 
 
-def _open_database(config: TuningConfig) -> optuna.storages.RDBStorage:
+def _open_database(config: TuningConfig, attempts: int = 5) -> optuna.storages.RDBStorage:
     from sqlalchemy.engine import make_url
     from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError
 
@@ -107,20 +114,19 @@ def _open_database(config: TuningConfig) -> optuna.storages.RDBStorage:
     elif config.storage.startswith("postgresql"):
         # psycopg counts whole seconds, and retries each address of a host by itself.
         connect = {"connect_timeout": max(2, int(config.timeout_seconds / 2))}
-    for attempt in range(_ATTEMPTS):
-        try:
-            return _connect(config, connect)
-        except RuntimeError as error:  # tables of another version of Optuna
-            raise ArgumentError(str(error)) from None
-        except ImportError as error:
-            driver = getattr(error.__cause__, "name", None)
-            raise ArgumentError(f"it needs {driver}: for PostgreSQL write postgresql+psycopg://...") from None
-        except DBAPIError as error:
-            # Another process or machine may make the same tables in the same moment.
-            if not (isinstance(error, IntegrityError) or "already exists" in str(error)):
-                raise
-            time.sleep(0.1 * attempt)
-    return _connect(config, connect)
+    try:
+        return _connect(config, connect)
+    except RuntimeError as error:  # tables of another version of Optuna
+        raise ArgumentError(str(error)) from None
+    except ImportError as error:
+        driver = getattr(error.__cause__, "name", None)
+        raise ArgumentError(f"it needs {driver}: for PostgreSQL write postgresql+psycopg://...") from None
+    except DBAPIError as error:
+        # Another process or machine may make the same tables in the same moment.
+        if not attempts or not (isinstance(error, IntegrityError) or "already exists" in str(error)):
+            raise
+        time.sleep(0.5 / attempts)
+        return _open_database(config, attempts - 1)
 
 
 def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.RDBStorage:
@@ -182,3 +188,66 @@ def _prepare_file(path: Path, url: str) -> None:
         f"tuning.storage must be a database of studies, but '{url}' {what}: "
         "give another file, such as tuning.storage=sqlite:///studies/optuna.db"
     )
+
+
+# --- trials that were stopped ---------------------------------------------------------------------------
+
+REPEATS = "repeats"
+REASON = "reason"
+"""The attribute of a trial that failed by itself."""
+
+
+def list_attempts(study: optuna.Study) -> list[FrozenTrial]:
+    """The latest attempt at each place.
+
+    Two workers may put one trial back to the queue at once: the first of its repeats counts, others have no place.
+    """
+    latest: dict[int, FrozenTrial] = {}  # number of the first attempt -> latest
+    first: dict[int, int] = {}  # number of the latest attempt -> first
+    for trial in study.get_trials(deepcopy=False):
+        repeated = trial.user_attrs.get(REPEATS, trial.number)
+        if repeated == trial.number or repeated in first:
+            first[trial.number] = first.pop(repeated, repeated)
+            latest[first[trial.number]] = trial
+    return list(latest.values())
+
+
+def list_results(study: optuna.Study) -> dict[int, FrozenTrial]:
+    """Place -> finished trial; a trial that was stopped is not finished."""
+    return {
+        place: trial
+        for place, trial in enumerate(list_attempts(study))
+        if trial.state.is_finished() and not _was_stopped(trial)
+    }
+
+
+def repeat_stopped(study: optuna.Study, config: TuningConfig) -> list[FrozenTrial]:
+    """The latest attempt at each place of the study's total, after those that stopped were put back to the queue."""
+    from optuna.storages import fail_stale_trials
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+        fail_stale_trials(study)
+    latest = list_attempts(study)[: config.n_trials]
+    stopped = [trial for trial in latest if _was_stopped(trial) or _has_died_early(study, trial, config)]
+    for trial in stopped:
+        study.enqueue_trial(dict(trial.params), user_attrs={REPEATS: trial.number})
+    return list_attempts(study)[: config.n_trials] if stopped else latest
+
+
+def _was_stopped(trial: FrozenTrial) -> bool:
+    return trial.state.name == "FAIL" and REASON not in trial.user_attrs
+
+
+def _has_died_early(study: optuna.Study, trial: FrozenTrial, config: TuningConfig) -> bool:
+    """Fail a trial that died before its first heartbeat, which Optuna doesn't notice; True if it was one."""
+    from optuna.exceptions import UpdateFinishedTrialError
+    from optuna.trial import TrialState
+
+    silence = abs(datetime.now() - (trial.datetime_start or datetime.now()))
+    told_or_young = WORKER in trial.user_attrs or silence < timedelta(seconds=config.silence_seconds)
+    if trial.state != TrialState.RUNNING or told_or_young:
+        return False
+    with suppress(UpdateFinishedTrialError, ValueError):  # another worker did so
+        study.tell(trial.number, state=TrialState.FAIL)
+    return True

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.config.tuning import TuningConfig
 from pipeline.errors import DataError
 from pipeline.files import hash_file
-from pipeline.tuning.attempts import list_results
-from pipeline.tuning.storage import WORKER, open_storage, settle, translate_errors
+from pipeline.tuning.storage import WORKER, list_results, open_storage, settle, translate_errors
 
 if TYPE_CHECKING:
     import optuna

@@ -16,28 +16,18 @@ from pipeline.config.promotion import apply_values
 from pipeline.errors import PipelineError
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import delay_interrupt, end_with_parent, let_interrupt_through, limit_threads, share_threads
-from pipeline.tuning.attempts import REASON, list_results, repeat_stopped
-from pipeline.tuning.judging import judge
 from pipeline.tuning.space import suggest, translate
-from pipeline.tuning.storage import settle, translate_errors
-from pipeline.tuning.study import StudyProblem, open_study
+from pipeline.tuning.storage import REASON, list_results, repeat_stopped, settle, translate_errors
+from pipeline.tuning.study import StudyProblem, judge, open_study
 
 if TYPE_CHECKING:
     import optuna
 
 ROUNDING = 1e-13
 """Held-out losses below this are rounding, and count as this."""
-CHECKPOINTS = tuple(range(10, 101, 10))
-"""Percents of the last phase's steps at which the learning curve is reported."""
-_POLL_SECONDS = 0.2
-_PATIENCE_SECONDS = 15.0
 
 Seen = Callable[["optuna.Study"], None]
 """Called at every step, to show progress; what it raises ends the worker."""
-
-
-class TrialFailed(Exception):
-    """A trial without a loss; the study goes on."""
 
 
 def score(loss: float) -> float:
@@ -45,7 +35,7 @@ def score(loss: float) -> float:
     return math.log10(max(loss, ROUNDING))
 
 
-def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
+def work(study: optuna.Study, problem: StudyProblem, seen: Seen, poll_seconds: float = 0.2) -> None:
     """Run trials until the first ``tuning.n_trials`` places have a result.
 
     KeyboardInterrupt and bugs leave the trial they came in stopped: the next worker repeats it.
@@ -60,7 +50,7 @@ def work(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
         if len(latest) < config.n_trials or TrialState.WAITING in states:
             _run_next(study, problem, seen)
         elif TrialState.RUNNING in states:
-            time.sleep(_POLL_SECONDS)  # trials of other workers, which may yet stop
+            time.sleep(poll_seconds)  # trials of other workers, which may yet stop
         else:
             return
 
@@ -76,7 +66,7 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
         return run_trial(trial, problem, seen)
 
     try:
-        study.optimize(run, n_trials=1, catch=TrialFailed)
+        study.optimize(run, n_trials=1)
     except (UpdateFinishedTrialError, ValueError):
         # Another worker took this one for dead and failed its trial; no other such error comes out of `run`.
         if not begun:
@@ -89,9 +79,10 @@ def _run_next(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
 
 
 def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> float:
-    """Train with the trial's parameters: log10 of the held-out loss.
+    """Train with the trial's parameters.
 
-    :raises TrialFailed: where there is none, with the reason in the trial; or where the study has its total
+    :returns: log10 of the held-out loss; NaN, for which Optuna fails the trial, where there is none, with the reason
+        in the trial, or where the study has its total already
     :raises optuna.TrialPruned: where its learning curve is worse than those before
     """
     import optuna
@@ -100,7 +91,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
     sampler: Any = trial.study.sampler
     place = sampler.place
     if place >= config.tuning.n_trials:  # several workers asked for the last one
-        raise TrialFailed
+        return math.nan
     if place == 0:
         trial.set_user_attr("note", "the configured default")
     started, curve = time.perf_counter(), _Curve(trial, seen)
@@ -118,7 +109,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
             raise KeyboardInterrupt
         if verdict.outcome is Outcome.DIVERGED or not math.isfinite(verdict.loss):
             describe(outcome="diverged", epochs=verdict.steps, **{REASON: Outcome.DIVERGED.value})
-            raise TrialFailed
+            return math.nan
         curve.carry_to_the_end(verdict.loss)
         about = {"outcome": verdict.outcome.label, "epochs": verdict.steps, "training_loss": verdict.training_loss}
         describe(**about, held_out_loss=verdict.loss)
@@ -130,7 +121,7 @@ def run_trial(trial: optuna.trial.Trial, problem: StudyProblem, seen: Seen) -> f
         raise
     except (ArithmeticError, MemoryError, PipelineError, RuntimeError, ValueError) as error:
         describe(outcome="failed", **{REASON: f"{type(error).__name__}: {error}"[:500]})
-        raise TrialFailed from None
+        return math.nan
 
 
 @dataclass
@@ -146,7 +137,7 @@ class _Curve:
     steps: int = 0
     last: float = math.inf
     known: bool = False  # whether there is a loss on the way
-    due: list[int] = field(default_factory=lambda: list(CHECKPOINTS))
+    due: list[int] = field(default_factory=lambda: list(range(10, 101, 10)))  # percents that are yet to be reported
 
     def __call__(self, phase: str, step: int, total: int, loss: Callable[[], float] | None) -> None:
         import optuna
@@ -251,7 +242,9 @@ def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen)
 
 
 @contextmanager
-def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[list[Any]]:
+def _start_others(
+    problem: StudyProblem, count: int, threads: int, patience_seconds: float = 15.0
+) -> Iterator[list[Any]]:
     """``count`` more workers; they have ended at the end of the block."""
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_work_beside, args=(problem, threads), daemon=True) for _ in range(count)]
@@ -262,7 +255,7 @@ def _start_others(problem: StudyProblem, count: int, threads: int) -> Iterator[l
         yield workers
     finally:
         for worker in workers:
-            worker.join(_PATIENCE_SECONDS)
+            worker.join(patience_seconds)
             if worker.is_alive():
                 worker.kill()
                 worker.join()

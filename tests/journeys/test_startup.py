@@ -202,14 +202,14 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     import sqlite3
 
     from pipeline.config.schema import TrackingConfig
-    from pipeline.tracking import StageRecord, beside, recorder_beside, track
+    from pipeline.tracking import StageRecord, recorder_beside, track, tracker
 
     settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
     history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
     record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
     with recorder_beside(True):
         if killed:
-            process, _ = beside._running[0]
+            process, _ = tracker._running[0]
             process.kill()
             process.join()
         told = track(record, settings)
@@ -223,10 +223,10 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
 
 
 def test_without_tracking_no_process_is_started() -> None:
-    from pipeline.tracking import beside, recorder_beside
+    from pipeline.tracking import recorder_beside, tracker
 
     with recorder_beside(False):
-        assert beside._running == []
+        assert tracker._running == []
 
 
 KINDS = {"run": "text", "speed_rpm": "number", "amplitude_m": "number"}

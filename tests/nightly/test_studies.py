@@ -15,7 +15,7 @@ import test_study_resume as resume
 from postgres import Server
 from running import at_night
 
-from pipeline.tuning.attempts import repeat_stopped
+from pipeline.tuning.storage import repeat_stopped
 from pipeline.tuning.study import open_study
 from studies import (
     ALONE,

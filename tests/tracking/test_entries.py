@@ -20,11 +20,11 @@ from pipeline.tracking.entries import (
     TAG_LENGTH,
     clean_name,
     collect_history,
+    describe_provenance,
     flatten_parameters,
     without_password,
 )
 from pipeline.tracking.model import tabulate_coefficients
-from pipeline.tracking.provenance import describe_provenance
 from pipeline.tracking.store import quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes

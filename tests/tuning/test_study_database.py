@@ -14,7 +14,7 @@ import pytest
 from postgres import PASSWORD, Server, free_port, run_postgres
 
 from pipeline.errors import StorageError
-from pipeline.tuning.attempts import REPEATS
+from pipeline.tuning.storage import REPEATS
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import run_study
 from studies import (

@@ -19,9 +19,9 @@ import pytest
 from pipeline.__main__ import main
 from pipeline.errors import ConfigError
 from pipeline.identification.training import Outcome
-from pipeline.tuning import judging
-from pipeline.tuning.attempts import REPEATS, list_attempts, repeat_stopped
+from pipeline.tuning import study as study_module
 from pipeline.tuning.space import find_default
+from pipeline.tuning.storage import REPEATS, list_attempts, repeat_stopped
 from pipeline.tuning.study import StudyProblem, open_study
 from pipeline.tuning.worker import run_study
 from studies import (
@@ -269,14 +269,14 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
 
 def failing(monkeypatch: pytest.MonkeyPatch, at: int, fail: Callable[[Any], Any]) -> None:
     """The ``at``-th training returns what ``fail`` makes of its result, or raises."""
-    real, calls = judging.minimise, []
+    real, calls = study_module.minimise, []
 
     def minimise(*arguments: Any, **options: Any) -> Any:
         calls.append(1)
         batch = real(*arguments, **options)
         return fail(batch) if len(calls) == at + 1 else batch
 
-    monkeypatch.setattr(judging, "minimise", minimise)
+    monkeypatch.setattr(study_module, "minimise", minimise)
 
 
 def _raises(error: BaseException) -> Callable[[Any], Any]:
