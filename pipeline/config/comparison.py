@@ -10,7 +10,7 @@ from pydantic import Field, PositiveInt
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
 from pipeline.config.quantities import Damping, Deviation, Stiffness
-from pipeline.config.section import NonNegativeInt, Section, Share, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, Share, rule
 
 MethodName = Literal[
     "least_squares",
@@ -72,10 +72,10 @@ class ComparisonConfig(Section):
     the node of the sensor set of that name, null for the middle one.
     """
 
-    methods: tuple[MethodName, ...] = Field(min_length=1)
-    noise: tuple[Share, ...] = Field(min_length=1)
-    sensors: tuple[SensorSet, ...] = Field(min_length=1)
-    speeds: tuple[Annotated[int, Field(ge=2)], ...] = Field(min_length=1)
+    methods: Annotated[tuple[MethodName, ...], Field(min_length=1), Once]
+    noise: Annotated[tuple[Share, ...], Field(min_length=1), Once]
+    sensors: Annotated[tuple[SensorSet, ...], Field(min_length=1), Once]
+    speeds: Annotated[tuple[Annotated[int, Field(ge=2)], ...], Field(min_length=1), Once]
     location: NonNegativeInt | None = None
     floor: Deviation
     data_sets: PositiveInt
@@ -91,11 +91,7 @@ class ComparisonConfig(Section):
     law: FitConfig
 
     @rule
-    def _once(self) -> Iterator[str]:
-        for key in ("methods", "noise", "sensors", "speeds"):
-            values = getattr(self, key)
-            if len(set(values)) != len(values):
-                yield f"must name each of its {key} once, but got {list(values)}"
+    def _fits_by_its_loss(self) -> Iterator[str]:
         for name in ("paper", "residual", "preconditioned", "response"):
             got, wanted = getattr(self, name).loss.kind, "residual" if name == "paper" else name
             if got != wanted:

@@ -10,14 +10,16 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from pipeline.coefficients import CoefficientName
 from pipeline.config.operating import Conditions
 from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
-from pipeline.config.section import NonNegativeInt, Section, Share, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, Share, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
+
+Unknowns = Annotated[tuple[CoefficientName, ...], Once]
 
 
 class OneBearingConfig(Section):
     """One bearing differs from the rest in these values; null stands for the value of the rest."""
 
-    unknowns: tuple[CoefficientName, ...] | None = None
+    unknowns: Unknowns | None = None
     structure: Structure | None = None
 
 
@@ -66,7 +68,7 @@ class IdentifyConfig(Section):
     parameters, widens all deviations.
     """
 
-    unknowns: tuple[CoefficientName, ...] = Field(min_length=1)
+    unknowns: Unknowns = Field(min_length=1)
     structure: Structure
     shared: bool
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
@@ -80,9 +82,6 @@ class IdentifyConfig(Section):
     def _lawful(self) -> Iterator[str]:
         if self.shared and self.bearings:
             yield "shared makes all bearings alike, but bearings has exceptions: leave one of them out"
-        for unknowns in (self.unknowns, *(bearing.unknowns or () for bearing in self.bearings.values())):
-            if len(set(unknowns)) != len(unknowns):
-                yield f"must name each unknown once, but got {list(unknowns)}"
         self.at(-1)
         for node in self.bearings:
             self.at(node)

@@ -7,15 +7,15 @@ the unit: ``preheat_degC``.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from pipeline.config.quantities import from_base, is_number, same_dimension, to_base
+from pipeline.config.quantities import base_of, from_base, is_number, same_dimension, to_base, to_si
 from pipeline.config.section import Section
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ UNITS = (
 """A column of any other name is a condition where it ends in one of these."""
 _NO_DEGREES = ("C", "F")
 """pint has other units of these names."""
-_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D.*?)\s*")
 
 
 @dataclass(frozen=True)
@@ -133,27 +132,18 @@ def to_quantity(name: str, value: Any, difference: bool = False, coldest: float 
     """
     unit = column_of(name).unit
     warm = unit in ("degC", "degF")
-    example = f"such as {'0.5 K' if difference and warm else f'45 {unit}'}"
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError(f"{name} must be a quantity ({example}), but got {value!r}")
-    if isinstance(value, str) and not is_number(value):
-        parts = _QUANTITY.fullmatch(value)
-        given = parts[2] if parts else ""
-        given = f"delta_{given}" if difference and given in ("degC", "degF") else given
-        try:
-            right = parts and same_dimension(given, unit)
-        except ValueError:
-            right = False
-        if not parts or not right:
-            raise ValueError(f"{name} must be a quantity with a unit of its kind ({example}), but got {value!r}")
-        number = float(to_base(float(parts[1]), given))
-    else:
-        number = float(value)
-        if warm and not difference and 0 < number < coldest:
-            raise ValueError(f"{name} must carry its unit ({example}): a number alone is in K, but got {value}")
-    if not math.isfinite(number) or (difference and number < 0) or (warm and not difference and number <= 0):
-        law = "zero or more" if difference else "above absolute zero" if warm else "finite"
-        raise ValueError(f"{name} must be {law} ({example}), but got {value!r}")
+    example = "0.5 K" if difference and warm else f"45 {unit}"
+    if difference and isinstance(value, str):
+        value = re.sub(r"\bdeg(?=[CF]\b)", "delta_deg", value)
+    try:
+        number = to_si(value, base_of(unit), example)
+    except ValueError as error:
+        raise ValueError(f"{name} {error}") from None
+    if warm and not difference and 0 < number < coldest and (not isinstance(value, str) or is_number(value)):
+        raise ValueError(f"{name} must carry its unit (such as {example}): a number alone is in K, but got {value}")
+    if (difference and number < 0) or (warm and not difference and number <= 0):
+        law = "zero or more" if difference else "above absolute zero"
+        raise ValueError(f"{name} must be {law} (such as {example}), but got {value!r}")
     return number
 
 
@@ -173,12 +163,8 @@ def _read_states(value: Any) -> dict[str, tuple[float, ...]]:
     return states
 
 
-def _read_one(value: Any) -> dict[str, float]:
-    return {name: to_quantity(name, given) for name, given in _read_mapping(value).items()}
-
-
-def _read_differences(value: Any) -> dict[str, float]:
-    return {name: to_quantity(name, given, difference=True) for name, given in _read_mapping(value).items()}
+def _read_conditions(value: Any, difference: bool = False) -> dict[str, float]:
+    return {name: to_quantity(name, given, difference) for name, given in _read_mapping(value).items()}
 
 
 class ConditionColumnConfig(Section):
@@ -186,10 +172,6 @@ class ConditionColumnConfig(Section):
 
     column: Annotated[str, Field(min_length=1)]
     unit: Annotated[str, Field(min_length=1)]
-
-    def to_si(self, values: np.ndarray) -> np.ndarray:
-        """Values (n,) of the column in SI, temperatures in K."""
-        return ConditionColumn(self.column, "", self.unit).to_si(values)
 
 
 def _check_columns(columns: dict[str, ConditionColumnConfig]) -> dict[str, ConditionColumnConfig]:
@@ -202,7 +184,7 @@ ConditionColumns = Annotated[dict[str, ConditionColumnConfig], AfterValidator(_c
 """Columns of a table by the name of the condition that they have."""
 States = Annotated[dict[str, tuple[float, ...]], BeforeValidator(_read_states)]
 """Values of each condition by its name, SI: every combination is a state of the machine."""
-Conditions = Annotated[dict[str, float], BeforeValidator(_read_one)]
+Conditions = Annotated[dict[str, float], BeforeValidator(_read_conditions)]
 """One value of each condition by its name, SI."""
-Differences = Annotated[dict[str, float], BeforeValidator(_read_differences)]
+Differences = Annotated[dict[str, float], BeforeValidator(partial(_read_conditions, difference=True))]
 """By how much values of a condition may differ and still be the same, by its name, SI."""

@@ -10,7 +10,6 @@ import hashlib
 import os
 import re
 from collections.abc import Sequence
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -139,24 +138,15 @@ def _read_yaml(path: Path, what: str) -> dict[str, Any]:
 # --- paths ---------------------------------------------------------------------------------------
 
 
-def _resolve_paths(content: dict[str, Any], keys: Sequence[str], folder: Path) -> dict[str, Any]:
-    """``content`` with the paths of these keys absolute."""
-    made = deepcopy(content)
-    for key in keys:
-        _resolve_path(made, key.split("."), folder)
-    return made
-
-
-def _resolve_path(node: Any, key: Sequence[str], folder: Path) -> None:
-    first, *rest = key
-    places: list[Any] = [first] if isinstance(node, dict) and first in node else []
-    if first == "*" and isinstance(node, (dict, list)):
-        places = list(node) if isinstance(node, dict) else list(range(len(node)))
-    for place in places:
-        inside = node[place]
-        if rest:
-            _resolve_path(inside, rest, folder)
-        elif first == "table" and isinstance(inside, str) and not Path(inside).suffix:
-            continue  # the name of a table that comes with the package
-        elif isinstance(inside, str) and inside and inside != AS_MODELLED and "${" not in inside:
-            node[place] = str(make_absolute(inside, folder))
+def _resolve_paths(node: Any, keys: Sequence[str], folder: Path, place: str = "") -> Any:
+    """A copy of what stands at the dotted ``place`` of a file, with the paths of these keys absolute."""
+    if isinstance(node, dict | list):
+        items = list(node.items() if isinstance(node, dict) else enumerate(node))
+        made = {key: _resolve_paths(inside, keys, folder, f"{place}.{key}".lstrip(".")) for key, inside in items}
+        return made if isinstance(node, dict) else list(made.values())
+    is_path = any(re.fullmatch(key.replace(".", r"\.").replace("*", r"[^.]+"), place) for key in keys)
+    if not is_path or not isinstance(node, str) or node in ("", AS_MODELLED) or "${" in node:
+        return node
+    if place.endswith(".table") and not Path(node).suffix:
+        return node  # the name of a table that comes with the package
+    return str(make_absolute(node, folder))

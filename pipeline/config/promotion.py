@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,15 +67,13 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
 
 def get_value(config: Config, key: str) -> Any:
     """Return the value of a dotted key. Raises ConfigError where there is none."""
-    place: Any = config
-    for step in key.split("."):
-        if not hasattr(place, step):
-            raise ConfigError(
-                f"tuning.space must name keys of the configuration, but '{key}' is not one of {config.name}: "
-                "choose another search space, such as tuning=network or tuning=constant"
-            )
-        place = getattr(place, step)
-    return place
+    try:
+        return attrgetter(key)(config)
+    except AttributeError:
+        raise ConfigError(
+            f"tuning.space must name keys of the configuration, but '{key}' is not one of {config.name}: "
+            "choose another search space, such as tuning=network or tuning=constant"
+        ) from None
 
 
 def has_value(config: Config, key: str) -> bool:

@@ -1,7 +1,7 @@
 """Units at the edge: a quantity in a config is a number in SI or a text such as ``150 mm``.
 
 Everything inside the package is SI and radians; this is the one place where a config's units are
-converted, by pint.
+converted, by pint. Of the physical numbers of bearing laws a plain quantity is known, ``{guess, within}`` is unknown.
 """
 
 from __future__ import annotations
@@ -9,10 +9,13 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
+
+from pipeline.config.section import Section
 
 _TEMPERATURE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg[CF]|°[CF])\s*")
 _DEGREE = re.compile(r"(?:\bdeg|°)([CF])\b")
@@ -25,8 +28,8 @@ def _load_units() -> Any:
     return pint.UnitRegistry()
 
 
-def to_si(value: Any, unit: str, example: str) -> float:
-    """``value`` in ``unit``: numbers are SI already, texts carry their unit.
+def to_si(value: Any, unit: Any, example: str) -> float:
+    """``value`` in ``unit`` (a name, or pint's own): numbers are SI already, texts carry their unit.
 
     Raises ValueError (which pydantic reports with the key) where the unit is unknown or of another dimension.
     """
@@ -39,7 +42,7 @@ def to_si(value: Any, unit: str, example: str) -> float:
     return float(value)
 
 
-def _parse(text: str, unit: str, example: str) -> float:
+def _parse(text: str, unit: Any, example: str) -> float:
     import pint
 
     if is_number(text):
@@ -76,8 +79,12 @@ def to_base(values: Any, unit: str) -> Any:
 
 def from_base(values: Any, unit: str) -> Any:
     """SI ``values`` (a number or an array) in ``unit``. Raises ValueError for an unknown unit."""
-    base = _load_units().Quantity(1.0, _find_unit(unit)).to_base_units().units
-    return _load_units().Quantity(values, base).to(unit).magnitude
+    return _load_units().Quantity(values, base_of(unit)).to(unit).magnitude
+
+
+def base_of(unit: str) -> Any:
+    """The unit of SI, K for temperatures, as pint has it. Raises ValueError for an unknown unit."""
+    return _load_units().Quantity(1.0, _find_unit(unit)).to_base_units().units
 
 
 def same_dimension(unit: str, other: str) -> bool:
@@ -128,3 +135,67 @@ RotorSpeed = _define_quantity("rad / s", "2000 rpm", gt=0)
 Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
 ShaftAngle = Annotated[float, BeforeValidator(_convert_angle), Field(json_schema_extra={"unit": "rad"})]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
+
+
+# --- numbers that may be unknown -------------------------------------------------------------------------
+
+
+class GuessConfig(Section):
+    """An unknown positive number; ``within`` is the factor that is one standard deviation about the guess."""
+
+    guess: float = Field(gt=0)
+    within: float = Field(default=3.0, gt=1)
+
+
+CONDITION = "condition"
+"""In place of a load: that of the operating condition ``load``."""
+
+
+def _convert(value: Any, unit: str, example: str, or_condition: bool) -> Any:
+    if isinstance(value, GuessConfig) or (or_condition and value == CONDITION):
+        return value
+    if not isinstance(value, Mapping):
+        return convert_positive(value, unit, example)
+    converted = {key: convert_positive(value[key], unit, example) for key in ("guess",) if key in value}
+    return GuessConfig.model_validate(dict(value) | converted)  # which tells its own errors
+
+
+def convert_positive(value: Any, unit: str, example: str) -> float:
+    """A known quantity in ``unit``. Raises ValueError where it is not above zero."""
+    number = to_si(value, unit, example)
+    if number <= 0:
+        raise ValueError(f"must be above zero (such as {example}), but got {value!r}")
+    return number
+
+
+def define_number(unit: str, example: str, or_condition: bool = False) -> Any:
+    """The type of a positive number in ``unit`` that may be unknown, or :data:`CONDITION`."""
+    extra: dict[str, Any] | None = {"unit": unit} if unit else None
+    convert = BeforeValidator(lambda value: _convert(value, unit, example, or_condition))
+    kinds: Any = float | GuessConfig | Literal["condition"] if or_condition else float | GuessConfig
+    return Annotated[kinds, convert, Field(json_schema_extra=extra)]
+
+
+LengthNumber = define_number("m", "0.1 mm")
+ViscosityNumber = define_number("Pa * s", "20 mPa s")
+SlopeNumber = define_number("1 / K", "0.03 1/K")
+TemperatureNumber = define_number("K", "-95 degC")
+DifferenceNumber = define_number("K", "900 K")
+ForceNumber = define_number("N", "500 N")
+AngleNumber = define_number("rad", "30 deg")
+PureNumber = define_number("", "0.5")
+LoadNumber = define_number("N", "500 N", or_condition=True)
+"""A load may also be that of the operating condition ``load``."""
+
+
+ModelledLoad = Annotated[
+    float | Literal["condition"],
+    BeforeValidator(lambda value: value if value == CONDITION else convert_positive(value, "N", "500 N")),
+    Field(json_schema_extra={"unit": "N"}),
+]
+"""The static load of a modelled bearing: a number, or that of the operating condition ``load``."""
+
+
+def middle(value: Any) -> float:
+    """The known number, or the guess."""
+    return float(value.guess if isinstance(value, GuessConfig) else value)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Annotated
 
 from pydantic import PositiveInt
 
 from pipeline.config.quantities import Bore, Density, Inertia, Length, Mass, Pressure
-from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, rule
 
 
 class MaterialConfig(Section):
@@ -71,7 +72,7 @@ class RotorConfig(Section):
     shaft: tuple[ShaftSegmentConfig, ...] = ()
     material: MaterialConfig | None = None
     discs: tuple[DiscConfig, ...] = ()
-    bearing_nodes: tuple[NonNegativeInt, ...] = ()
+    bearing_nodes: Annotated[tuple[NonNegativeInt, ...], Once] = ()
     shear_effects: bool = True
     rotary_inertia: bool = True  # of the shaft
 
@@ -87,8 +88,6 @@ class RotorConfig(Section):
         if not self.shaft or not self.material or not self.bearing_nodes:
             yield "must give shaft, material and bearing_nodes (or file, a rotor saved by ROSS)"
         last = sum(segment.elements for segment in self.shaft)
-        if len(set(self.bearing_nodes)) != len(self.bearing_nodes):
-            yield f"must name each bearing node once, but got bearing_nodes {list(self.bearing_nodes)}"
         for what, nodes in (
             ("bearing_nodes", self.bearing_nodes),
             ("discs", [disc.node for disc in self.discs]),

@@ -134,24 +134,17 @@ class Config(Section):
         return self.chosen_by or f"experiment={self.name}"
 
     @rule
-    def _fits_model_parameters(self) -> Iterator[str]:
+    def _fits_its_loss(self) -> Iterator[str]:
+        if self.loss.kind == "response" and self.stage == "robustness" and self.robustness.over != "refit":
+            yield (
+                "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
+                "loss=response, which has a start of its own: use stage=robustness robustness=refits"
+            )
         if self.loss.kind != "response" and self.identify.model_parameters.deviations:
             yield (
                 "identify.model_parameters must come with loss=response, which fits them with the coefficients, but "
                 f"got loss={self.loss.kind}"
             )
-
-    @rule
-    def _has_a_prior_of_functions(self) -> Iterator[str]:
         if self.loss.kind != "response" and self.model.families:
             law = f"model={self.model.kind} must come with loss=response, which has its prior"
             yield f"{law}, but got loss={self.loss.kind}"
-
-    @rule
-    def _trains_by_a_residual(self) -> Iterator[str]:
-        other = self.stage == "robustness" and self.robustness.over != "refit"
-        if self.loss.kind == "response" and other:
-            yield (
-                "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
-                "loss=response, which has a start of its own: use stage=robustness robustness=refits"
-            )

@@ -5,11 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 """A share: 0.01 is a percent."""
+
+
+def _name_once(values: Any) -> Any:
+    if len(set(values)) != len(values):
+        raise ValueError(f"must name each once, but got {list(values)}")
+    return values
+
+
+Once = AfterValidator(_name_once)
+"""What a list names, it names once."""
 
 
 class Section(BaseModel):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
-from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, rule
 
 Value = bool | int | float | str
 Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
@@ -105,15 +105,10 @@ class Choice(_Dimension):
 
     kind: Literal["choice"]
     key: Key
-    choices: tuple[Value, ...] = Field(min_length=1)
+    choices: Annotated[tuple[Value, ...], Field(min_length=1), Once]
 
     def translate(self, parameter: Value) -> dict[str, Value]:
         return {self.key: parameter}
-
-    @rule
-    def _once(self) -> Iterator[str]:
-        if len(set(self.choices)) != len(self.choices):
-            yield f"must name each choice once, but got {list(self.choices)}"
 
 
 class Preset(_Dimension):

@@ -23,6 +23,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
+from pipeline.config.quantities import to_base
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section, rule
 from pipeline.data.tables import Columns, CsvConfig, read_table
@@ -141,10 +142,11 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
 def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
     speeds, at = np.unique(table[config.columns.speed], return_inverse=True)
+    count = np.bincount(at.ravel())
     return {
         name: (
             speeds * RAD_S[config.conventions.speed],
-            np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
+            np.bincount(at.ravel(), to_base(table[condition.column].astype(float), condition.unit)) / count,
         )
         for name, condition in config.columns.conditions.items()
     }

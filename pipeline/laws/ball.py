@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import PositiveInt
 
-from pipeline.config.guesses import AngleNumber, ForceNumber, LengthNumber
-from pipeline.config.quantities import ShaftAngle
+from pipeline.config.quantities import AngleNumber, ForceNumber, LengthNumber, ShaftAngle
 from pipeline.config.section import Section
 from pipeline.laws.numbers import Number, Points, Recorded, add_slope, turn_axes
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from pipeline.config.guesses import CONDITION, LengthNumber, LoadNumber, PureNumber, middle
-from pipeline.config.quantities import ShaftAngle
+from pipeline.config.quantities import CONDITION, LengthNumber, LoadNumber, PureNumber, ShaftAngle, middle
 from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import LOAD, Number, Points, Recorded, add_slope, turn_axes

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.guesses import GuessConfig
+from pipeline.config.quantities import GuessConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError, DataError
 from pipeline.laws.ball import BallLaw, BallLawConfig

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
-from pipeline.config.guesses import (
+from pipeline.config.quantities import (
     DifferenceNumber,
     GuessConfig,
     SlopeNumber,
+    Temperature,
     TemperatureNumber,
     ViscosityNumber,
     convert_positive,
     middle,
 )
-from pipeline.config.quantities import Temperature
 from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import OIL_TEMPERATURE, Number, Recorded, add_slope

@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.guesses import CONDITION, ModelledLoad
-from pipeline.config.quantities import Angle, AnyDamping, AnyStiffness, Length, ShaftAngle
+from pipeline.config.quantities import CONDITION, Angle, AnyDamping, AnyStiffness, Length, ModelledLoad, ShaftAngle
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import LOAD, turn_axes

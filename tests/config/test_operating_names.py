@@ -41,10 +41,10 @@ def test_quantities_are_in_si_and_degrees_exact() -> None:
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ({"oil_temperature": ["45 N"]}, "with a unit of its kind (such as 45 degC), but got '45 N'"),
+        ({"oil_temperature": ["45 N"]}, "must convert to kelvin (such as 45 degC), but got '45 N'"),
         ({"oil_temperature": [45]}, "must carry its unit (such as 45 degC): a number alone is in K, but got 45"),
         ({"oil_temperature": ["-300 degC"]}, "must be above absolute zero"),
-        ({"oil_temperature": ["warm"]}, "must be a quantity with a unit of its kind"),
+        ({"oil_temperature": ["warm"]}, "must have a known unit (such as 45 degC), but got 'warm'"),
         ({"oil_temperature": ["45 degC", "318.15 K"]}, "must have values that differ"),
         ({"oil_temperature": []}, "must have values that differ"),
         ({"colour": [1]}, "a last word that says what it is (temperature, pressure"),

@@ -165,7 +165,7 @@ def test_a_condition_that_a_run_lacks_is_named(tmp_path: Path) -> None:
     [
         (lambda runs: runs.append(dict(runs[0])), "or operating conditions of its own, but 'one' is there 2 times"),
         (lambda runs: runs.append(runs[0] | at(45) | {"unbalances": [DISC | {"node": 0}]}), "those of 'one' differ"),
-        (lambda runs: runs[0].update(operating={"oil_temperature": "45 N"}), "with a unit of its kind"),
+        (lambda runs: runs[0].update(operating={"oil_temperature": "45 N"}), "oil_temperature must convert to kelvin"),
         (lambda runs: runs[0].update(operating={"mood": "45 N"}), "must name a condition by a last word"),
     ],
 )
@@ -179,5 +179,5 @@ def test_what_a_run_may_not_say(change: Any, words: str, tmp_path: Path) -> None
 
 def test_a_column_must_have_a_unit_of_its_condition(tmp_path: Path) -> None:
     columns = {"speed": "speed", "conditions": {"oil_temperature": {"column": "T", "unit": "bar"}}}
-    with pytest.raises(ValidationError, match="oil_temperature must be a quantity with a unit of its kind"):
+    with pytest.raises(ValidationError, match="oil_temperature must convert to kelvin"):
         parsed(table_config(wide_runs(tmp_path), columns=columns))

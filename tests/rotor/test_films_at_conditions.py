@@ -10,8 +10,7 @@ import numpy as np
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.guesses import ModelledLoad
-from pipeline.config.quantities import Angle, Length
+from pipeline.config.quantities import Angle, Length, ModelledLoad
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import LawsConfig, make_laws

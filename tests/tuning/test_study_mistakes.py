@@ -67,7 +67,7 @@ BAD_SPACES: dict[str, tuple[dict[str, Any], list[str]]] = {
         {"x": {"kind": "preset", "choices": {"a": {"seed": 1}}}},
         ["tuning.space.x.choices.a.seed"],
     ),
-    "choice twice": ({"x": ACTIVATION | {"choices": ["tanh", "tanh"]}}, ["must name each choice once"]),
+    "choice twice": ({"x": ACTIVATION | {"choices": ["tanh", "tanh"]}}, ["tuning.space.x", "must name each once"]),
     "no choice": ({"x": ACTIVATION | {"choices": []}}, ["tuning.space.x", "must have at least 1 item"]),
     "name": ({"x.y": RATE}, ["x.y", "must match pattern"]),
 }
