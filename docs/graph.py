@@ -26,7 +26,6 @@ HARMLESS = (
     "pipeline/tracking/",
     "pipeline/reporting/console.py",
     "pipeline/errors.py",
-    "pipeline/cache.py",
     "pipeline/py.typed",
     "pipeline/stages/machine_file.yaml",
 )

@@ -11,9 +11,7 @@ PACKAGE = ROOT / "pipeline"
 
 ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (
-        frozenset(
-            {"errors", "units", "files", "cache", "coefficients", "impedance", "unknowns", "processes", "write_numbers"}
-        ),
+        frozenset({"errors", "units", "files", "coefficients", "impedance", "unknowns", "processes", "write_numbers"}),
         "words, files, and what is unknown",
     ),
     (frozenset({"config"}), "sections of a configuration, units, sentences"),
@@ -23,7 +21,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
     (
-        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "choice", "promotion")),
+        frozenset(f"config.{name}" for name in ("machine", "schema", "compose", "promotion")),
         "a configuration composed of the sections of all rooms",
     ),
     (frozenset({"problem"}), "the measurement, its equations, what it determines"),

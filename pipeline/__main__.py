@@ -46,8 +46,6 @@ def _run_command(arguments: list[str]) -> None:
         print(format_usage())
     elif "--version" in arguments:
         print(f"pipeline {__version__}")
-    elif all(map(_is_plain, arguments)):
-        _run_stages(arguments)
     else:
         options = _parse_options(arguments)
         # A folder of machines is read here and not by Hydra.
@@ -64,7 +62,7 @@ def _is_plain(argument: str) -> bool:
     return "=" in argument and not argument.startswith("-") and not parse_key(argument).startswith("hydra")
 
 
-def _run_stages(overrides: list[str], folder: Path | None = None) -> None:
+def _run_stages(overrides: list[str], folder: Path | None) -> None:
     """All stages are checked before the first one runs; the first that fails is the last that runs."""
     from pipeline.config.compose import compose_stages
     from pipeline.stages import run_stages

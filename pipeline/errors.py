@@ -93,7 +93,12 @@ def exit_code(action: Callable[[], None]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _STORAGE:
             _drop_output()
-            return say_and_return(_storage_sentence(error), MISTAKE)
+            place = f"'{error.filename}'" if error.filename else "the files of a run"
+            sentence = (
+                f"{place} must be readable or writable, but got: {error.strerror}; "
+                "free or change that place, or write elsewhere with output=FOLDER"
+            )
+            return say_and_return(sentence, MISTAKE)
         traceback.print_exc()
         return say_and_return(
             "internal error: this is a bug of the pipeline; please report it with the lines above", BUG
@@ -104,14 +109,6 @@ def say_and_return(words: object, code: int) -> int:
     """Say ``words`` on stderr; the exit ``code``."""
     print(words, file=sys.stderr, flush=True)
     return code
-
-
-def _storage_sentence(error: OSError) -> str:
-    place = f"'{error.filename}'" if error.filename else "the files of a run"
-    return (
-        f"{place} must be readable or writable, but got: {error.strerror}; "
-        "free or change that place, or write elsewhere with output=FOLDER"
-    )
 
 
 def _drop_output() -> None:

@@ -1,4 +1,9 @@
-"""Writing files so that none is ever seen half-written."""
+"""Writing files so that none is ever seen half-written; and results that cost much to make and little to keep.
+
+These are files under the hash of everything that they are made from. All experiments share them. They lie in the
+checkout (``.cache/``), which git ignores; they may be deleted at any time, and one that can't be written only costs
+time.
+"""
 
 from __future__ import annotations
 
@@ -99,3 +104,37 @@ def read_json(path: Path, remedy: str = "make it again") -> dict[str, Any]:
     if not isinstance(value, dict):
         raise DataError(f"'{path}' must hold a JSON object, but it holds a {type(value).__name__}: {remedy}")
     return value
+
+
+# --- what is kept ------------------------------------------------------------------------------------
+
+CACHE = Path(__file__).parents[1] / ".cache"
+
+
+def hash_parts(*parts: bytes | str) -> str:
+    """The hash of ``parts``, which are kept apart: ("ab", "c") and ("a", "bc") differ."""
+    digest = hashlib.sha256()
+    for part in parts:
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()[:32]
+
+
+def look_up(kind: str, key: str) -> bytes | None:
+    """The content kept under ``key``; None where there is none."""
+    try:
+        return (CACHE / kind / key).read_bytes()
+    except OSError:
+        return None
+
+
+def keep(kind: str, key: str, content: bytes, most: int = 300) -> None:
+    """Keep ``content`` under ``key``, with at ``most`` so many entries of its kind: beyond, the oldest go.
+
+    Nothing is raised where that can't be done.
+    """
+    with contextlib.suppress(StorageError, OSError):
+        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(content))
+        entries = sorted(path.parent.iterdir(), key=lambda entry: entry.stat().st_mtime)
+        for entry in entries[:-most]:
+            entry.unlink(missing_ok=True)

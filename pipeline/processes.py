@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
@@ -24,24 +24,11 @@ def share_threads(threads: int, workers: int) -> int:
     return max(1, min(threads, cores // workers))
 
 
-def limit_threads(threads: int) -> AbstractContextManager[None]:
+def limit_threads(threads: int) -> AbstractContextManager[object]:
     """Interpreters started in the block find the limit of their threads in the environment: BLAS reads it there."""
-    return change_environment(dict.fromkeys(_THREADS, str(threads)))
+    from unittest.mock import patch  # it imports asyncio
 
-
-@contextmanager
-def change_environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables have these values in the block, and afterwards those of before."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    return patch.dict(os.environ, dict.fromkeys(_THREADS, str(threads)))
 
 
 def end_with_parent() -> None:

@@ -12,11 +12,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.cache import hash_parts
 from pipeline.comparison.cases import Case, Machine, Result, judge_method
 from pipeline.config.comparison import MethodName
 from pipeline.errors import DataError, PipelineError
-from pipeline.files import read_json, write_json
+from pipeline.files import hash_parts, read_json, write_json
 from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
 
 _PACKAGES = ("comparison", "data", "identification", "laws", "methods", "problem", "rotor")

@@ -1,22 +1,35 @@
 """From ``conf/``, a machine file and overrides to a checked :class:`~pipeline.config.schema.Config`.
 
-Its errors, and pydantic's, leave here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step.
+A command chooses a machine, from ``conf/`` or from a file of the user, and an experiment. A machine without an
+experiment is identified as its kind suggests (``conf/experiment/default``), under its own name. Errors, and pydantic's,
+leave here as :class:`~pipeline.errors.ConfigError`: the law, what came, the next step.
 """
 
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.config import loader
-from pipeline.config.messages import explain_schema_errors, quote_value, suggest
+from pipeline.config.loader import compose, get_text, list_options, parse_overrides
+from pipeline.config.messages import explain_schema_errors, quote_override, quote_value, suggest
+from pipeline.config.own_machines import clean_name, make_absolute, store_machine
+from pipeline.config.promotion import apply_promoted, is_overridden
 from pipeline.errors import ConfigError
+from pipeline.rotor.bearings import CHANGING
 
 if TYPE_CHECKING:
+    from hydra.core.config_loader import ConfigLoader
+    from hydra.core.override_parser.types import Override
+
     from pipeline.config.schema import Config
+
+DEFAULTS = "default/"
+"""The folder below ``conf/experiment`` that has the experiments of machines without one."""
 
 
 def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) -> Config:
@@ -35,9 +48,6 @@ def compose_stages(overrides: Sequence[str] = (), folder: Path | None = None) ->
 
 def validate_stages(mapping: Mapping[str, Any], overrides: Sequence[str], folder: Path | None = None) -> list[Config]:
     """``mapping`` as a Config for each of its stages, with the values that its study promoted; ``overrides`` win."""
-    from pipeline.config.choice import name_choice
-    from pipeline.config.promotion import apply_promoted
-
     complete = _insert_runs(mapping)
     configs = [validate(dict(complete) | {"stage": stage}) for stage in list_stages(mapping)]
     return [
@@ -79,12 +89,10 @@ def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def compose_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:
     """The composed configuration, interpolations resolved, before the schema has seen it."""
-    from pipeline.config.choice import choose
-
     with loader.start_hydra(folder) as hydra:
-        parsed = loader.parse_overrides(overrides, hydra)
+        parsed = parse_overrides(overrides, hydra)
         loader.refuse_sweeps(parsed)
-        return loader.compose(choose(parsed, hydra), hydra)
+        return compose(choose(parsed, hydra), hydra)
 
 
 def validate(mapping: Mapping[str, Any]) -> Config:
@@ -106,7 +114,7 @@ def validate(mapping: Mapping[str, Any]) -> Config:
 def expand_sweeps(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]:
     """The overrides of every job of a multirun, and the keys that are the same in all of them."""
     with loader.start_hydra() as hydra:
-        parsed = loader.parse_overrides(overrides, hydra)
+        parsed = parse_overrides(overrides, hydra)
         values = [loader.list_values(override) for override in parsed]
     fixed = frozenset(override.key_or_group for override in parsed if not override.is_sweep_override())
     return [list(job) for job in itertools.product(*values)], fixed
@@ -115,7 +123,152 @@ def expand_sweeps(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[
 @contextmanager
 def prepare_for_hydra(overrides: Sequence[str], folder: Path | None) -> Iterator[list[str]]:
     """``overrides`` as Hydra itself takes them, the last of each key; meanwhile its store has the user's own files."""
-    from pipeline.config.choice import choose
-
     with loader.start_hydra(folder) as hydra:
-        yield [loader.get_text(override) for override in choose(loader.parse_overrides(overrides, hydra), hydra)]
+        yield [get_text(override) for override in choose(parse_overrides(overrides, hydra), hydra)]
+
+
+# --- machine and experiment --------------------------------------------------------------------------
+
+
+def choose(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
+    """``parsed`` with an option of the group ``machine`` in place of ``machine.file``, and with the default experiment
+    of a machine that comes without one.
+
+    Raises ConfigError for a machine file that can't be read.
+    """
+    by_key = {override.key_or_group: override for override in parsed if not override.is_delete()}
+    stage, file, machine, experiment = map(by_key.get, ("stage", "machine.file", "machine", "experiment"))
+    if stage and "new" in re.findall(r"\w+", get_text(stage)):  # the file is yet to be written
+        return [*parsed, *parse_overrides([] if "tracking" in by_key else ["tracking=none"], loader)]
+    rest = [override for override in parsed if override is not file]
+    path = _locate(file) if file else None
+    if file and path:
+        if machine:
+            raise ConfigError(
+                f"a command must have one machine, but got {get_text(machine)} and {get_text(file)}: leave one out"
+            )
+        (machine,) = parse_overrides([f"machine={store_machine(path)}"], loader)
+        rest.insert(0, machine)
+    rest = _begin_anew(rest, loader)
+    if not machine or not isinstance(machine.value(), str) or machine.is_sweep_override():
+        return rest
+    name = clean_name(path) if path else str(machine.value())
+    if not experiment:
+        more = [*_choose_experiment(_compose(rest, loader)), f"name={name}"]
+    else:
+        has_machine = str(machine.value()) not in list_options("machine") and isinstance(experiment.value(), str)
+        given = str(experiment.value())
+        more = [f"name={name}_{given}"] if has_machine and not given.startswith(DEFAULTS) else []
+    keys = {override.key_or_group for override in parsed}
+    more = [text for text in more if not is_overridden(text.partition("=")[0], keys)]
+    return [*rest, *parse_overrides(more, loader)]
+
+
+def _locate(file: Override) -> Path | None:
+    """Return the path of the machine file; None for null."""
+    if file.is_sweep_override():
+        raise ConfigError(f"machine.file must be one file, but got '{get_text(file)}': give a command for each")
+    value = file.value()
+    if value is None:
+        return None
+    if not isinstance(value, str) or not value:
+        raise ConfigError(f"machine.file must be the path of a machine file, but got '{get_text(file)}'")
+    return make_absolute(value)
+
+
+def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Override]:
+    """``parsed`` so that a section that is given anew, with its kind or as known values, has nothing of the former.
+
+    Such are ``machine.bearings.kind=rotor_file`` and ``machine.bearings={kind: linear, kxx: 1e7, kyy: 1e7}``.
+    """
+    sections = {id(override): _find_kind(override) for override in parsed}
+    if not any(sections.values()):
+        return list(parsed)
+    composed = _compose([o for o in parsed if o.key_or_group in ("machine", "experiment")], loader)
+    made: list[Override] = []
+    for override in parsed:
+        key, tag, value, text = sections[id(override)] or ("", "", None, "")
+        former = _look_up(composed, key) if key else {}
+        if not former or (override.key_or_group != key and former.get(tag) == value):
+            made.append(override)
+        else:
+            made += parse_overrides([f"~{key}", f"+{key}={text}"], loader)
+    return made
+
+
+def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
+    """Return section, name and value of its kind, and the section's text; None where the override gives no kind."""
+    key, value = override.key_or_group, override.value()
+    section, _, tag = key.rpartition(".")
+    if override.is_delete() or override.is_sweep_override() or not key.startswith(("machine.", "data.")):
+        return None
+    if isinstance(value, dict) and tag == "known":
+        return key, "", None, get_text(override).partition("=")[2]
+    if isinstance(value, dict) and (tags := [tag for tag in ("kind", "format") if tag in value]):
+        return key, tags[0], value[tags[0]], get_text(override).partition("=")[2]
+    if tag in ("kind", "format") and isinstance(value, str):
+        return section, tag, value, f"{{{tag}: {value}}}"
+    return None
+
+
+def _look_up(composed: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
+    node: Any = composed
+    for word in key.split("."):
+        inside = node if isinstance(node, Mapping) else {}
+        node = inside.get(word, inside.get(int(word)) if word.isdigit() else None)
+    return node if isinstance(node, Mapping) else {}
+
+
+def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
+    """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed."""
+    keys = ("machine", "experiment", "data")
+    machine_overrides = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
+    try:
+        composed = compose(machine_overrides, loader)
+    except ConfigError:
+        return {}
+    return composed if isinstance(composed.get("machine"), Mapping) else {}
+
+
+def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
+    """Return the overrides that say what is identified of a machine of this kind, and at which noise."""
+    bearings, recordings, probes = (
+        _look_up(composed, f"machine.{key}") for key in ("bearings", "recordings", "probes")
+    )
+    each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
+    kinds = {section.get("kind") for section in each if isinstance(section, Mapping)}
+    saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
+    option = "fluid_film" if kinds & CHANGING or saved else "rolling"
+    if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
+        baseline = recordings.get("baseline")
+        more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
+        return [f"experiment={DEFAULTS}{option}_measured", *more]
+    noise = {key: probes.get(key) for key in ("additive", "multiplicative")}
+    stated = noise if any(map(_is_noise, noise.values())) else {}
+    return [f"experiment={DEFAULTS}{option}", *(f"stated_noise.{key}={value}" for key, value in stated.items())]
+
+
+def _is_noise(value: Any) -> bool:
+    """Tell whether a number, or a text such as ``0.1 um``, is above zero."""
+    try:
+        return float(str(value).partition(" ")[0]) > 0
+    except ValueError:
+        return False
+
+
+def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -> str:
+    """Return the overrides that chose machine and experiment, as a shell takes them in another command."""
+    given = dict(override.lstrip("+").partition("=")[::2] for override in overrides)
+    parts = []
+    if folder:
+        parts.append(quote_override("--config-dir", str(folder)))
+    if config.machine.file and config.stage != "new":
+        path, here = Path(config.machine.file), Path.cwd()
+        short = path.relative_to(here) if path.is_relative_to(here) else path
+        parts.append(quote_override("machine.file", str(short)))
+    elif "machine" in given:
+        parts.append(f"machine={given['machine']}")
+    if "experiment" in given and not given["experiment"].startswith(DEFAULTS):
+        parts.append(f"experiment={given['experiment']}")
+    return " ".join(parts)

@@ -136,8 +136,7 @@ def _is_group(override: Override, loader: ConfigLoader) -> bool:
 
 def get_text(override: Override) -> str:
     """The override as it was written."""
-    assert override.input_line is not None
-    return override.input_line
+    return override.input_line or ""
 
 
 # --- overrides ---------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from pipeline.config.balance import WeightsConfig
-from pipeline.config.measured import AnyRecordingsConfig, MeasuredRunConfig
+from pipeline.config.measured import AnyRecordingsConfig
 from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
@@ -64,10 +64,27 @@ def _record_speeds(recordings: AnyRecordingsConfig) -> SpeedsConfig:
 
 
 def _record_runs(recordings: AnyRecordingsConfig) -> list[RunConfig]:
+    """Each recorded run as it could be simulated: phases as angles from x."""
     if not recordings.recorded:
         raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
     excited = {run.name: run for run in recordings.runs if run.unbalances or run.forces}
-    return [_plan_run(run, recordings) for run in excited.values()]
+    return [
+        RunConfig(
+            name=run.name,
+            unbalances=tuple(
+                UnbalanceConfig(
+                    node=unbalance.node,
+                    magnitude=unbalance.magnitude,
+                    phase=recordings.angle_from_x(unbalance.phase),
+                )
+                for unbalance in run.unbalances
+            ),
+            forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
+            frequency_hz=getattr(run, "frequency_hz", None),
+            frequency_ratio=getattr(run, "frequency_ratio", None),
+        )
+        for run in excited.values()
+    ]
 
 
 def _weigh(runs: Sequence[RunConfig]) -> CandidateConfig:
@@ -77,24 +94,6 @@ def _weigh(runs: Sequence[RunConfig]) -> CandidateConfig:
         raise ValueError("must be given where no run has an unbalance, but is missing")
     nodes = tuple(sorted({weight.node for weight in weights}))
     return CandidateConfig(unbalance_nodes=nodes, unbalance=max(weight.magnitude for weight in weights), **_NO_FORCE)
-
-
-def _plan_run(run: MeasuredRunConfig, recordings: AnyRecordingsConfig) -> RunConfig:
-    """A recorded run as one that could be simulated: phases as angles from x."""
-    return RunConfig(
-        name=run.name,
-        unbalances=tuple(
-            UnbalanceConfig(
-                node=unbalance.node,
-                magnitude=unbalance.magnitude,
-                phase=recordings.angle_from_x(unbalance.phase),
-            )
-            for unbalance in run.unbalances
-        ),
-        forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
-        frequency_hz=getattr(run, "frequency_hz", None),
-        frequency_ratio=getattr(run, "frequency_ratio", None),
-    )
 
 
 class MachineConfig(Section):

@@ -67,7 +67,10 @@ def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> s
     if choices:
         near = suggest(str(value), re.findall(r"'([^']*)'", choices))
         return f"{key}: must be one of these, but got {value!r}{near}"
-    return f"{key or 'configuration'}: {_state_law(kind, item['msg'])}{_state_value(kind, value)}"
+    # A sentence of the schema itself says what came; a mapping in full would hide the law.
+    told = kind == "value_error" or isinstance(value, Mapping)
+    came = "" if told else f", but got {quote_value(value)}"
+    return f"{key or 'configuration'}: {_state_law(kind, item['msg'])}{came}"
 
 
 def _state_law(kind: str, message: str) -> str:
@@ -75,14 +78,9 @@ def _state_law(kind: str, message: str) -> str:
         return _LAWS[kind]
     message = _SUBJECT.sub("must ", message.removeprefix("Value error, "))
     if kind.endswith(("_parsing", "_from_float", "_short", "_long")):
-        # Behind the comma pydantic says what came, in words that _state_value replaces by the value itself.
+        # Behind the comma pydantic says what came, in words that the value itself replaces.
         return message.partition(", ")[0]
     return message
-
-
-def _state_value(kind: str, value: Any) -> str:
-    # A sentence of the schema itself says what came; a mapping in full would hide the law.
-    return "" if kind == "value_error" or isinstance(value, Mapping) else f", but got {quote_value(value)}"
 
 
 def _locate(loc: Sequence[int | str], mapping: Any) -> tuple[list[str], Any]:

@@ -44,19 +44,18 @@ class _Dimension(Section):
         fitting = [
             option
             for option in self.options()
-            if all(_is_same(get(key), value) for key, value in self.translate(option).items())
+            if all(
+                math.isclose(get(key), value)
+                if isinstance(value, int | float) and isinstance(get(key), int | float)
+                else get(key) == value
+                for key, value in self.translate(option).items()
+            )
         ]
         return sorted(fitting, key=lambda option: -len(self.translate(option)))
 
     def describe(self, name: str) -> str:
         """What the parameter may be, for a message."""
         return f"the choices of {name} are {', '.join(map(str, self.options()))}"
-
-
-def _is_same(value: Any, choice: Value) -> bool:
-    if isinstance(value, (int, float)) and isinstance(choice, (int, float)):
-        return math.isclose(value, choice)
-    return bool(value == choice)
 
 
 class FloatRange(_Dimension):

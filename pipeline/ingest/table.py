@@ -142,11 +142,11 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
 def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
     speeds, at = np.unique(table[config.columns.speed], return_inverse=True)
-    count = np.bincount(at.ravel())
     return {
         name: (
             speeds * RAD_S[config.conventions.speed],
-            np.bincount(at.ravel(), to_base(table[condition.column].astype(float), condition.unit)) / count,
+            np.bincount(at.ravel(), to_base(table[condition.column].astype(float), condition.unit))
+            / np.bincount(at.ravel()),
         )
         for name, condition in config.columns.conditions.items()
     }

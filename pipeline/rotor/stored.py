@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cache import hash_parts, keep, look_up
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
+from pipeline.files import hash_parts, keep, look_up
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel

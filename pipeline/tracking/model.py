@@ -104,6 +104,7 @@ def _save(
 
     # MLflow compares requirements with what is installed, for which it lists every file of every package: 0.7 s, and
     # these requirements were read from what is installed.
+    packages = [*_REQUIREMENTS, *(["pint"] if len(example.columns) > 1 else [])]
     check = "mlflow.utils.environment.warn_dependency_requirement_mismatches"
     # mlflow.pyfunc.log_model would do the same through the process-wide tracking URI and the active run, and
     # would load the model once more to try the example on it.
@@ -121,14 +122,9 @@ def _save(
             code_paths=[str(Path(__file__).resolve().parents[1])],
             signature=signature,
             input_example=example,
-            pip_requirements=_pin_requirements("pint" if len(example.columns) > 1 else None),
+            # Without a build's own mark such as ``+cpu``.
+            pip_requirements=[f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in packages],
         )
-
-
-def _pin_requirements(more: str | None) -> list[str]:
-    """The predictor's packages, and ``more``, at the versions here, less a build's own mark such as ``+cpu``."""
-    names = [*_REQUIREMENTS, *([more] if more else [])]
-    return [f"{name}=={importlib.metadata.version(name).partition('+')[0]}" for name in names]
 
 
 def tabulate_coefficients(

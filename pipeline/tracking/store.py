@@ -72,19 +72,17 @@ def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, 
     """
     # MLflow takes an empty URI for a database in the working directory.
     if settings.uri.startswith("sqlite:") or not settings.uri:
-        path = _parse_path(settings.uri)
+        database = settings.uri.removeprefix(_SQLITE)
+        if not settings.uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
+            raise StorageError(
+                f"'{settings.uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE"
+            )
+        path = Path(database).absolute()
         prepare_database(path, settings.timeout_seconds)
         location = f"{_locate_artifacts(path)}/{clean_name(name).replace('/', '_')}"
         return _open(f"{_SQLITE}{path}", name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
     return run_within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
-
-
-def _parse_path(uri: str) -> Path:
-    database = uri.removeprefix(_SQLITE)
-    if not uri.startswith(_SQLITE) or database in ("", ":memory:") or "?" in database:
-        raise StorageError(f"'{uri}' names no SQLite file; write sqlite:///FILE (relative) or sqlite:////FOLDER/FILE")
-    return Path(database).absolute()
 
 
 def _open(uri: str, name: str, artifact_location: str | None) -> tuple[MlflowClient, str]:

@@ -156,9 +156,12 @@ def _begin(client: MlflowClient, experiment_id: str, record: StageRecord, tags: 
 
 def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
     """Log each part of the record by itself; sentences on those that MLflow does not have."""
+    import yaml
+
     run_id = run.info.run_id
     model_ids: list[str] = []
     not_finite: list[str] = []
+    write = partial(yaml.safe_dump, sort_keys=False, allow_unicode=True)
 
     def log_metrics(collected: tuple[list[MetricValue], list[str]], *model_id: str) -> None:
         _log_values(client, run_id, collected[0], {}, *model_id)
@@ -166,7 +169,10 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
 
     parts: list[tuple[str, Callable[[], object]]] = [
         ("the parameters", lambda: _log_values(client, run_id, (), record.parameters)),
-        ("the configuration", lambda: client.log_text(run_id, _write_yaml(record), "config.yaml")),
+        (
+            "the configuration",
+            lambda: client.log_text(run_id, without_password(write(simplify(record.parameters))), "config.yaml"),
+        ),
     ]
     if record.model:  # it comes before the metrics, which belong to it too
         parts.append(("the model", lambda: model_ids.append(log_model(client, run, record))))
@@ -202,12 +208,6 @@ def try_parts(parts: Sequence[tuple[str, Callable[[], object]]], stage: str, pat
     if not_tried:
         problems.append(f"MLflow took too long to answer, so these were not tried: {', '.join(not_tried)}.")
     return problems
-
-
-def _write_yaml(record: StageRecord) -> str:
-    import yaml
-
-    return without_password(yaml.safe_dump(simplify(record.parameters), sort_keys=False, allow_unicode=True))
 
 
 def _log_values(

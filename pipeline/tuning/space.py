@@ -63,23 +63,20 @@ def find_default(config: Config) -> dict[str, Value]:
         )
     parameters: dict[str, Value] = {}
     for name, dimension in space.items():
-        if applies(dimension, parameters):
-            parameters[name] = _find_default(config, name, dimension)
+        if not applies(dimension, parameters):
+            continue
+        fitting = dimension.find(partial(get_value, config))
+        if not fitting:
+            keys = dict.fromkeys(key for parameter in dimension.extremes() for key in dimension.translate(parameter))
+            came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
+            raise ConfigError(
+                f"tuning.space must contain the configured default, which is trial 0, but {came} and "
+                f"{dimension.describe(name)}: widen tuning.space.{name} or change the configured value"
+            )
+        parameters[name] = fitting[0]
     for name, dimension in space.items():
         _check_values(config, name, dimension)
     return parameters
-
-
-def _find_default(config: Config, name: str, dimension: Dimension) -> Value:
-    fitting = dimension.find(partial(get_value, config))
-    if fitting:
-        return fitting[0]
-    keys = dict.fromkeys(key for parameter in dimension.extremes() for key in dimension.translate(parameter))
-    came = ", ".join(f"{key} = {get_value(config, key)}" for key in keys)
-    raise ConfigError(
-        f"tuning.space must contain the configured default, which is trial 0, but {came} and "
-        f"{dimension.describe(name)}: widen tuning.space.{name} or change the configured value"
-    )
 
 
 def _check_values(config: Config, name: str, dimension: Dimension) -> None:

@@ -176,6 +176,7 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
     :raises KeyboardInterrupt: after every worker has stopped its trial
     """
     import torch
+    from optuna.trial import TrialState
 
     config = problem.config
     with translate_errors(config.tuning), _catch_interrupts() as check:
@@ -185,7 +186,12 @@ def run_study(problem: StudyProblem, seen: Seen) -> tuple[optuna.Study, list[str
             seen(study)
 
         study = open_study(problem)
-        _wait_for_the_silent(study, problem, look)
+        # Where trials are running already, the silence of dead workers shows after a while. Theirs come first in the
+        # queue then, and the study goes on in the order that it would have had. A database counts whole seconds.
+        ends = time.monotonic() + config.tuning.silence_seconds + 1.0
+        while time.monotonic() < ends and TrialState.RUNNING in {t.state for t in repeat_stopped(study, config.tuning)}:
+            look(study)
+            time.sleep(0.2)
         threads = share_threads(config.threads, config.tuning.workers)
         torch.set_num_threads(threads)
         todo = config.tuning.n_trials - len(list_results(study))
@@ -225,20 +231,6 @@ def _catch_interrupts() -> Iterator[Callable[[], None]]:
         yield check
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _wait_for_the_silent(study: optuna.Study, problem: StudyProblem, seen: Seen) -> None:
-    """Where trials are running already, wait until the silence of dead workers shows.
-
-    They come first in the queue then, and the study goes on in the order that it would have had.
-    """
-    from optuna.trial import TrialState
-
-    config = problem.config.tuning
-    ends = time.monotonic() + config.silence_seconds + 1.0  # a database counts whole seconds
-    while TrialState.RUNNING in {trial.state for trial in repeat_stopped(study, config)} and time.monotonic() < ends:
-        seen(study)
-        time.sleep(0.2)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from running import FEW_SPEEDS, ROOT
 
-from pipeline import cache
+from pipeline import files
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
 from pipeline.config.rotor import RotorConfig
@@ -30,7 +30,7 @@ BALL = ["experiment=ball_bearing", "tracking=none", "optimizer.adam.steps=3", *F
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache for one test."""
-    monkeypatch.setattr(cache, "FOLDER", tmp_path / "cache")
+    monkeypatch.setattr(files, "CACHE", tmp_path / "cache")
     return tmp_path / "cache"
 
 
@@ -121,22 +121,21 @@ def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(tmp_path: Path) 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cache").write_text("in the way")
-    monkeypatch.setattr(cache, "FOLDER", tmp_path / "cache")
+    monkeypatch.setattr(files, "CACHE", tmp_path / "cache")
     rotor = compose_config(BALL).machine.rotor
     assert load_rotor(rotor).fingerprint == load_rotor(rotor).fingerprint
 
 
-def test_the_oldest_entries_go(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "_MOST", 3)
+def test_the_oldest_entries_go(own_cache: Path) -> None:
     for i in range(5):
-        cache.keep("things", f"entry{i}", b"x")
+        files.keep("things", f"entry{i}", b"x", most=3)
     assert len(list((own_cache / "things").iterdir())) == 3
-    assert cache.look_up("things", "entry4") == b"x"
+    assert files.look_up("things", "entry4") == b"x"
 
 
 def test_parts_of_an_identity_are_kept_apart() -> None:
-    assert cache.hash_parts("ab", "c") != cache.hash_parts("a", "bc")
-    assert cache.hash_parts("ab", b"c") == cache.hash_parts(b"ab", "c")
+    assert files.hash_parts("ab", "c") != files.hash_parts("a", "bc")
+    assert files.hash_parts("ab", b"c") == files.hash_parts(b"ab", "c")
 
 
 def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +157,7 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     assert (again.bearing_nodes, again.disc_nodes) == (first.bearing_nodes, first.disc_nodes)
     assert again.total_mass == first.total_mass
     assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
-    cache.path_of(KIND, hash_rotor(config.machine.rotor)).write_bytes(b"damaged")
+    (own_cache / KIND / hash_rotor(config.machine.rotor)).write_bytes(b"damaged")
     assert load_rotor(config.machine.rotor).fingerprint == first.fingerprint
 
 
