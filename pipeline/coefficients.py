@@ -11,8 +11,6 @@ from typing import Literal, get_args
 CoefficientName = Literal["kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy"]
 COEFFICIENTS: tuple[str, ...] = get_args(CoefficientName)
 
-_DIRECTION = {"x": 0, "y": 1}
-
 
 def is_stiffness(name: str) -> bool:
     """True for k.., false for c..."""
@@ -26,12 +24,12 @@ def is_direct(name: str) -> bool:
 
 def row(name: str) -> int:
     """Direction of the force: 0 for x, 1 for y."""
-    return _DIRECTION[name[1]]
+    return "xy".index(name[1])
 
 
 def column(name: str) -> int:
     """Direction of the displacement: 0 for x, 1 for y."""
-    return _DIRECTION[name[2]]
+    return "xy".index(name[2])
 
 
 def unit(name: str) -> str:

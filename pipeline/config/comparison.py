@@ -10,7 +10,7 @@ from pydantic import Field, PositiveInt
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
 from pipeline.config.quantities import Damping, Deviation, Stiffness
-from pipeline.config.section import NonNegativeInt, Once, Section, Share, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, Share, ascending, rule
 
 MethodName = Literal[
     "least_squares",
@@ -46,10 +46,8 @@ class PriorConfig(Section):
     lowest_damping: Damping
     highest_damping: Damping
 
-    @rule
-    def _ascending(self) -> Iterator[str]:
-        if self.lowest_stiffness >= self.highest_stiffness or self.lowest_damping >= self.highest_damping:
-            yield "must have lowest_stiffness < highest_stiffness and lowest_damping < highest_damping"
+    _stiffness = ascending("lowest_stiffness", "highest_stiffness", strictly=True)
+    _damping = ascending("lowest_damping", "highest_damping", strictly=True)
 
 
 class FitConfig(Section):

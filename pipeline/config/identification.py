@@ -10,7 +10,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from pipeline.coefficients import CoefficientName
 from pipeline.config.operating import Conditions
 from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
-from pipeline.config.section import NonNegativeInt, Once, Section, Share, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, Share, ascending, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 Unknowns = Annotated[tuple[CoefficientName, ...], Once]
@@ -206,10 +206,4 @@ class RobustnessConfig(Section):
     seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
     workers: PositiveInt = 1  # processes of refits
 
-    @rule
-    def _ascending(self) -> Iterator[str]:
-        if self.lowest_stiffness >= self.highest_stiffness:
-            yield (
-                "must have lowest_stiffness < highest_stiffness, "
-                f"but got {self.lowest_stiffness:g} and {self.highest_stiffness:g} N/m"
-            )
+    _span = ascending("lowest_stiffness", "highest_stiffness", strictly=True)

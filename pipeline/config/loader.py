@@ -242,18 +242,17 @@ def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
         config = _load(plain, loader)
     except HydraException:
         return []  # the groups themselves don't compose: Hydra's words tell more
-    tree = OmegaConf.to_container(config, resolve=False)
-    added = [_explain_addition(o, tree) for o in parsed if o.is_add()]
+    tree: Any = OmegaConf.to_container(config, resolve=False)
+    present = {*tree["hydra"]["runtime"]["choices"], *list_paths(tree)}
+    added = [
+        f"only a new key must have a +, but {o.key_or_group} is there and got '{get_text(o)}'; write "
+        f"'{get_text(o).lstrip('+')}'"
+        for o in parsed
+        if o.is_add() and o.key_or_group in present
+    ]
     changed = [
         explain_key(o.key_or_group, tree)
         for o in parsed
         if not (o.is_add() or o.is_force_add() or o.package or o in groups)
     ]
     return [sentence for sentence in [*added, *changed] if sentence]
-
-
-def _explain_addition(override: Override, tree: Any) -> str:
-    key, text = override.key_or_group, get_text(override)
-    if key not in tree["hydra"]["runtime"]["choices"] and key not in list_paths(tree):
-        return ""
-    return f"only a new key must have a +, but {key} is there and got '{text}'; write '{text.lstrip('+')}'"

@@ -9,7 +9,6 @@ from typing import Any
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from pipeline.config.balance import WeightsConfig
-from pipeline.config.measured import AnyRecordingsConfig
 from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
@@ -57,13 +56,13 @@ def _save_bearings(rotor: RotorConfig) -> RotorFileBearingConfig:
     return RotorFileBearingConfig(kind="rotor_file")
 
 
-def _record_speeds(recordings: AnyRecordingsConfig) -> SpeedsConfig:
+def _record_speeds(recordings: RecordingsConfig) -> SpeedsConfig:
     if not recordings.speeds:
         raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
     return recordings.speeds
 
 
-def _record_runs(recordings: AnyRecordingsConfig) -> list[RunConfig]:
+def _record_runs(recordings: RecordingsConfig) -> list[RunConfig]:
     """Each recorded run as it could be simulated: phases as angles from x."""
     if not recordings.recorded:
         raise ValueError("must be given (a list of runs, each with unbalances or forces), but is missing")
@@ -162,13 +161,10 @@ class MachineConfig(Section):
             yield f"as_built.{alone} needs runs that turn with the rotor, but one does not"
 
     @rule
-    def _names(self) -> Iterator[str]:
+    def _names_and_nodes(self) -> Iterator[str]:
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):
             yield f"must give every run a name of its own, but got {names}"
-
-    @rule
-    def _nodes_exist(self) -> Iterator[str]:
         if self.rotor.file:
             return
         if self.bearings.saved:

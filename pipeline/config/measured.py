@@ -180,29 +180,18 @@ class TachoAngleConfig(Section):
 
 
 class AnyRecordingsConfig(Section):
-    """What every format of recordings answers, and where there is nothing to read."""
+    """What every format of recordings answers, and where there is nothing to read.
+
+    Beside what stands below that is whether there is something to read (``recorded``), the stage that makes an
+    experiment's own data (``made_by``), the ``file`` of the runs that name none and the ``speeds`` that run-ups are
+    interpolated to.
+    """
 
     if TYPE_CHECKING:  # each format has its own
 
         @property
-        def recorded(self) -> bool:
-            """Whether there is something to read."""
-
-        @property
-        def made_by(self) -> str:
-            """The stage that makes an experiment's own data."""
-
-        @property
         def format(self) -> str:
             """The name of the format."""
-
-        @property
-        def file(self) -> str | None:
-            """That of the runs that name none."""
-
-        @property
-        def speeds(self) -> SpeedsConfig | None:
-            """Those that run-ups are interpolated to."""
 
         @property
         def shaft_angle(self) -> Literal["with_rotation", "against_rotation", "from_x"] | None:

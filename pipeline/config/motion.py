@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
@@ -32,9 +33,14 @@ _NAME = re.compile(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?")
 
 def find_motion(unit: str) -> tuple[int, float] | None:
     """Order and size (m, m/s, m/s^2) of a unit such as um, mm/s or g; None where it is none of these."""
-    for order, units in enumerate(_SI):
+    return _find_order(f"1 {_spell(unit)}", _SI)
+
+
+def _find_order(quantity: str, units: Sequence[str]) -> tuple[int, float] | None:
+    """Order and size of a quantity that has one of the ``units``, which are by the order."""
+    for order, unit in enumerate(units):
         with contextlib.suppress(ValueError):
-            return order, to_si(f"1 {_spell(unit)}", units, "um")
+            return order, to_si(quantity, unit, unit)
     return None
 
 
@@ -57,9 +63,8 @@ def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
 
 def _find_sensitivity(scale: str) -> tuple[int, float]:
     """Order, and V s^k/m. Raises ValueError."""
-    for order, units in enumerate(_SI):
-        with contextlib.suppress(ValueError):
-            return order, to_si(_spell(scale), f"V / ({units})", "7.87 V/mm")
+    if sensitivity := _find_order(_spell(scale), [f"V / ({unit})" for unit in _SI]):
+        return sensitivity
     raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
 
 

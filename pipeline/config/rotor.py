@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import PositiveInt
 
 from pipeline.config.quantities import Bore, Density, Inertia, Length, Mass, Pressure
-from pipeline.config.section import NonNegativeInt, Once, Section, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, ascending, rule
 
 
 class MaterialConfig(Section):
@@ -31,11 +31,8 @@ class ShaftSegmentConfig(Section):
     inner_diameter: Bore = 0.0
     elements: PositiveInt = 1
 
-    @rule
-    def _hollow(self) -> Iterator[str]:
-        for name, outer in (("outer_diameter", self.outer_diameter), ("end_diameter", self.end_diameter)):
-            if outer and self.inner_diameter >= outer:
-                yield f"must have inner_diameter < {name}, but got {self.inner_diameter:g} m and {outer:g} m"
+    _hollow = ascending("inner_diameter", "outer_diameter", strictly=True)
+    _hollow_end = ascending("inner_diameter", "end_diameter", strictly=True)
 
 
 class DiscConfig(Section):
@@ -49,6 +46,8 @@ class DiscConfig(Section):
     diametral_inertia: Inertia | None = None
     polar_inertia: Inertia | None = None
 
+    _hollow = ascending("inner_diameter", "outer_diameter", strictly=True)
+
     @rule
     def _one_description(self) -> Iterator[str]:
         geometry = (self.width, self.inner_diameter, self.outer_diameter)
@@ -60,9 +59,6 @@ class DiscConfig(Section):
                 "must give either width, inner_diameter and outer_diameter, or mass, diametral_inertia and "
                 f"polar_inertia, but got {sorted(self.model_fields_set - {'node'})}"
             )
-        inner, outer = self.inner_diameter, self.outer_diameter
-        if inner and outer and inner >= outer:
-            yield f"must have inner_diameter < outer_diameter, but got {inner:g} m and {outer:g} m"
 
 
 class RotorConfig(Section):

@@ -13,7 +13,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
-from pipeline.config.section import NonNegativeInt, Section, Share, rule
+from pipeline.config.section import NonNegativeInt, Section, Share, ascending, rule
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -24,10 +24,7 @@ class SpeedsConfig(Section):
     stop_rpm: PositiveFloat
     step_rpm: PositiveFloat
 
-    @rule
-    def _ascending(self) -> Iterator[str]:
-        if self.start_rpm > self.stop_rpm:
-            yield f"must have start_rpm <= stop_rpm, but got {self.start_rpm:g} and {self.stop_rpm:g}"
+    _span = ascending("start_rpm", "stop_rpm")
 
     def rpm(self) -> list[float]:
         """The speeds, ascending, in rpm."""

@@ -37,3 +37,14 @@ def rule(check: Callable[[Any], Iterator[str]]) -> Any:
         return section
 
     return model_validator(mode="after")(validate)
+
+
+def ascending(low: str, high: str, strictly: bool = False) -> Any:
+    """The rule that the number at one key is no larger than that at another, or smaller, where both are given."""
+
+    def check(section: Any) -> Iterator[str]:
+        below, above = getattr(section, low), getattr(section, high)
+        if None not in (below, above) and (below > above or (strictly and below == above)):
+            yield f"must have {low} {'<' if strictly else '<='} {high}, but got {below:g} and {above:g}"
+
+    return rule(check)

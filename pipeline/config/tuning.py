@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator
 
-from pipeline.config.section import NonNegativeInt, Once, Section, rule
+from pipeline.config.section import NonNegativeInt, Once, Section, ascending, rule
 
 Value = bool | int | float | str
 Key = Annotated[str, Field(pattern=r"^(model|loss|optimizer)(\.[A-Za-z_]+)+$|^training\.tolerance$")]
@@ -83,10 +83,10 @@ class FloatRange(_Dimension):
     def describe(self, name: str) -> str:
         return f"{name} goes from {self.low:g} to {self.high:g}"
 
+    _span = ascending("low", "high")
+
     @rule
-    def _ascending(self) -> Iterator[str]:
-        if self.low > self.high:
-            yield f"must have low <= high, but got {self.low:g} and {self.high:g}"
+    def _has_logarithms(self) -> Iterator[str]:
         if self.log and self.low <= 0:
             yield f"must have low > 0 on a logarithmic scale, but got {self.low:g}"
 

@@ -43,7 +43,7 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
     folder = record.model or Path()
     artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
     identified = load_model(folder)
-    example = pd.DataFrame({SPEED: [1500.0]} | _exemplify(identified))
+    example = pd.DataFrame({SPEED: np.array([1500.0])} | list_columns(_exemplify(identified)))
     answer = tabulate_coefficients(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
     logged = client.create_logged_model(
         run.info.experiment_id,
@@ -71,17 +71,15 @@ def list_conditions(identified: IdentifiedModel) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in (*inputs, *laws) if name != "speed"))
 
 
-def _exemplify(identified: IdentifiedModel) -> dict[str, list[float]]:
-    """The middle of each condition that the model is a function of, by the column that has it."""
-    columns: dict[str, list[float]] = {}
-    for name in list_conditions(identified):
-        model, column = identified.model, column_of(name)
-        middle = np.mean(model.ranges[model.inputs.index(name)]) if name in model.inputs else _EXAMPLES.get(name, 1.0)
-        columns[column.column] = column.from_si(np.array([middle])).tolist()
-    return columns
-
-
-_EXAMPLES = {"oil_temperature": 323.15, "load": 1000.0}
+def _exemplify(identified: IdentifiedModel) -> dict[str, np.ndarray]:
+    """The middle (1,) of each condition that the model is a function of, SI; a usual value for a law's."""
+    model, usual = identified.model, {"oil_temperature": 323.15, "load": 1000.0}
+    return {
+        name: np.array(
+            [np.mean(model.ranges[model.inputs.index(name)])] if name in model.inputs else [usual.get(name, 1.0)]
+        )
+        for name in list_conditions(identified)
+    }
 
 
 def read_conditions(identified: IdentifiedModel, table: pd.DataFrame) -> dict[str, np.ndarray]:

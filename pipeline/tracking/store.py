@@ -53,8 +53,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
     }
     # MLflow uses deprecated parts of SQLAlchemy, which a user can't change. A warning that is raised as an error while
     # SQLAlchemy sets up its classes would leave them broken for the whole process.
-    with patch.dict(os.environ, environment), warnings.catch_warnings(), ExitStack() as put_back:
-        warnings.simplefilter("ignore")
+    with patch.dict(os.environ, environment), warnings.catch_warnings(action="ignore"), ExitStack() as put_back:
         import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
 
         for logger in map(logging.getLogger, _LOGGERS):

@@ -147,8 +147,7 @@ def measure_importances(study: optuna.Study) -> dict[str, float]:
     from optuna.importance import get_param_importances
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             return {name: float(value) for name, value in get_param_importances(study).items()}
     except (RuntimeError, ValueError):
         return {}

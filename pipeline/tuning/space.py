@@ -147,8 +147,7 @@ def _make_delegate(config: TuningConfig, seed: int) -> optuna.samplers.BaseSampl
         return RandomSampler(seed=seed)
     if config.sampler == "tpe":
         return TPESampler(n_startup_trials=config.startup_trials, seed=seed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # `deterministic_objective` is experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # `deterministic_objective` is experimental, in Optuna's words
         return GPSampler(
             n_startup_trials=config.startup_trials,
             seed=seed,

@@ -148,8 +148,7 @@ def _connect(config: TuningConfig, connect: dict[str, Any]) -> optuna.storages.R
                 if WORKER not in self.get_trial(trial_id).user_attrs:
                     self.set_trial_user_attr(trial_id, WORKER, f"{socket.gethostname()}:{os.getpid()}")
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # heartbeats are experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # heartbeats are experimental, in Optuna's words
         return Storage(
             config.storage.replace("{", "{{").replace("}", "}}"),  # Optuna takes it for a template
             engine_kwargs={"connect_args": connect, "pool_pre_ping": True},
@@ -225,8 +224,7 @@ def repeat_stopped(study: optuna.Study, config: TuningConfig) -> list[FrozenTria
     """The latest attempt at each place of the study's total, after those that stopped were put back to the queue."""
     from optuna.storages import fail_stale_trials
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
         fail_stale_trials(study)
     latest = list_attempts(study)[: config.n_trials]
     stopped = [trial for trial in latest if _was_stopped(trial) or _has_died_early(study, trial, config)]

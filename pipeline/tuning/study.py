@@ -152,8 +152,7 @@ def _describe(study: optuna.Study, problem: StudyProblem) -> None:
         "",
         f"**Go on:** `python -m pipeline stage=tune {config.chosen} tuning.n_trials=N`, N being the total.",
     ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
         study.set_metric_names([OBJECTIVE])
         save_note(study, "\n".join(lines))
 

@@ -32,8 +32,7 @@ def format_trials(study: optuna.Study) -> str:
     """The study with its note and attributes, and every finished trial with all that the dashboard shows."""
     from optuna_dashboard import get_note
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
         note, metrics = get_note(study), study.metric_names
     lines: list[dict[str, Any]] = [
         {"study": study.study_name, "metrics": metrics, "note": note, "attributes": study.user_attrs}
@@ -77,8 +76,7 @@ def add_trials(path: Path, name: str, storage: optuna.storages.BaseStorage) -> o
             "take it from the repository again, or remove it"
         ) from None
     study = optuna.create_study(study_name=name, storage=storage, direction="minimize")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # experimental, in Optuna's words
+    with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
         if metrics:
             study.set_metric_names(metrics)
         save_note(study, note)
