@@ -14,11 +14,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.config import loader
-from pipeline.config.loader import compose, get_text, list_options, parse_overrides
+from pipeline.config.loader import (
+    STAGES,
+    compose,
+    get_text,
+    list_options,
+    list_values,
+    parse_overrides,
+    refuse_sweeps,
+    start_hydra,
+)
 from pipeline.config.messages import explain_schema_errors, quote_override, quote_value, suggest
 from pipeline.config.own_machines import clean_name, make_absolute, store_machine
-from pipeline.config.promotion import apply_promoted, is_overridden
+from pipeline.config.promotion import apply_promoted, is_overridden, look_up
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearings import CHANGING
 
@@ -89,9 +97,9 @@ def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def compose_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:
     """The composed configuration, interpolations resolved, before the schema has seen it."""
-    with loader.start_hydra(folder) as hydra:
+    with start_hydra(folder) as hydra:
         parsed = parse_overrides(overrides, hydra)
-        loader.refuse_sweeps(parsed)
+        refuse_sweeps(parsed)
         return compose(choose(parsed, hydra), hydra)
 
 
@@ -102,8 +110,8 @@ def validate(mapping: Mapping[str, Any]) -> Config:
     from pipeline.config.schema import Config
 
     stage = mapping.get("stage")
-    if not isinstance(stage, str) or stage not in loader.STAGES:
-        known = suggest(str(stage), loader.STAGES)
+    if not isinstance(stage, str) or stage not in STAGES:
+        known = suggest(str(stage), STAGES)
         raise ConfigError(f"stage must be one of the stages, but got {quote_value(stage)}{known}")
     try:
         return Config.model_validate(mapping)
@@ -113,9 +121,9 @@ def validate(mapping: Mapping[str, Any]) -> Config:
 
 def expand_sweeps(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[str]]:
     """The overrides of every job of a multirun, and the keys that are the same in all of them."""
-    with loader.start_hydra() as hydra:
+    with start_hydra() as hydra:
         parsed = parse_overrides(overrides, hydra)
-        values = [loader.list_values(override) for override in parsed]
+        values = [list_values(override) for override in parsed]
     fixed = frozenset(override.key_or_group for override in parsed if not override.is_sweep_override())
     return [list(job) for job in itertools.product(*values)], fixed
 
@@ -123,7 +131,7 @@ def expand_sweeps(overrides: Sequence[str]) -> tuple[list[list[str]], frozenset[
 @contextmanager
 def prepare_for_hydra(overrides: Sequence[str], folder: Path | None) -> Iterator[list[str]]:
     """``overrides`` as Hydra itself takes them, the last of each key; meanwhile its store has the user's own files."""
-    with loader.start_hydra(folder) as hydra:
+    with start_hydra(folder) as hydra:
         yield [get_text(override) for override in choose(parse_overrides(overrides, hydra), hydra)]
 
 
@@ -188,7 +196,7 @@ def _begin_anew(parsed: Sequence[Override], loader: ConfigLoader) -> list[Overri
     made: list[Override] = []
     for override in parsed:
         key, tag, value, text = sections[id(override)] or ("", "", None, "")
-        former = _look_up(composed, key) if key else {}
+        former = look_up(composed, key) if key else {}
         if not former or (override.key_or_group != key and former.get(tag) == value):
             made.append(override)
         else:
@@ -211,15 +219,6 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
     return None
 
 
-def _look_up(composed: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """Return the section at a dotted key such as ``machine.bearings.nodes.21``; empty where there is none."""
-    node: Any = composed
-    for word in key.split("."):
-        inside = node if isinstance(node, Mapping) else {}
-        node = inside.get(word, inside.get(int(word)) if word.isdigit() else None)
-    return node if isinstance(node, Mapping) else {}
-
-
 def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
     """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed."""
     keys = ("machine", "experiment", "data")
@@ -233,14 +232,12 @@ def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, A
 
 def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
     """Return the overrides that say what is identified of a machine of this kind, and at which noise."""
-    bearings, recordings, probes = (
-        _look_up(composed, f"machine.{key}") for key in ("bearings", "recordings", "probes")
-    )
-    each = [bearings, *_look_up(composed, "machine.bearings.nodes").values()]
+    bearings, recordings, probes = (look_up(composed, f"machine.{key}") for key in ("bearings", "recordings", "probes"))
+    each = [bearings, *look_up(composed, "machine.bearings.nodes").values()]
     kinds = {section.get("kind") for section in each if isinstance(section, Mapping)}
-    saved = not bearings and bool(_look_up(composed, "machine.rotor").get("file"))
+    saved = not bearings and bool(look_up(composed, "machine.rotor").get("file"))
     option = "fluid_film" if kinds & CHANGING or saved else "rolling"
-    if _look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
+    if look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
         return [f"experiment={DEFAULTS}{option}_measured", *more]

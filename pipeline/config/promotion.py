@@ -50,11 +50,9 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
         fields = model_fields(str(kind)) or mapping["model"]
         mapping["model"] = {name: mapping["model"].get(name) for name in fields}
     for key, value in values.items():
-        *path, last = key.split(".")
-        place: Any = mapping
-        for step in path:
-            place = place.get(step) if isinstance(place, dict) else None
-        if not isinstance(place, dict) or last not in place:
+        group, _, last = key.rpartition(".")
+        place = look_up(mapping, group)
+        if last not in place:
             raise ConfigError(f"{source} must name keys of the configuration, but '{key}' is not one of {config.name}")
         place[last] = value
     try:
@@ -63,6 +61,15 @@ def apply_values(config: Config, values: Mapping[str, Value], source: str) -> Co
         raise ConfigError(
             f"{source} must give values that the schema takes:\n{explain_schema_errors(error, mapping, Config)}"
         ) from None
+
+
+def look_up(composed: Mapping[str, Any], key: str) -> Any:
+    """Return the section at a dotted key such as ``machine.bearings.nodes.21``; an empty one where there is none."""
+    node: Any = composed
+    for word in key.split("."):
+        inside = node if isinstance(node, Mapping) else {}
+        node = inside.get(word, inside.get(int(word)) if word.isdigit() else None)
+    return node if isinstance(node, Mapping) else {}
 
 
 def get_value(config: Config, key: str) -> Any:
