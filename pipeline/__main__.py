@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 # A job's folder says what was swept; these keys already change the folder (output: artifacts/${name}),
 # and the stages of one experiment share it.
 _NOT_IN_FOLDER = {"experiment", "name", "output", "stage"}
-_LONGEST_FOLDER = 120
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -230,13 +229,13 @@ class Job:
         """Whether other jobs of the multirun have other values of this key."""
         return parse_key(override) not in self.fixed and not parse_key(override).startswith("hydra")
 
-    def folder(self, output: str, overrides: Sequence[str]) -> str:
+    def folder(self, output: str, overrides: Sequence[str], longest: int = 120) -> str:
         """The folder of the job with these overrides: no other job of the multirun has it."""
         swept = [o for o in overrides if self.is_own(o) and parse_key(o) not in _NOT_IN_FOLDER]
         if not swept:
             return output
         raw = "__".join(override.lstrip("+~").replace("=", "-", 1) for override in swept)
-        name = re.sub(r"[^\w.-]+", "_", raw)[:_LONGEST_FOLDER]
+        name = re.sub(r"[^\w.-]+", "_", raw)[:longest]
         if name != raw:  # what the cleaning made equal stays apart
             name += "-" + hashlib.sha256(raw.encode()).hexdigest()[:8]
         return str(Path(output) / name)

@@ -17,7 +17,6 @@ _LAWS = {  # where pydantic speaks of Python's types
     "model_attributes_type": "must be a group of keys",
     "tuple_type": "must be a list",
 }
-_SUBJECT = re.compile(r"^[A-Z]\w*(?: \w+)? should (?=be |have |match |start |end )")
 
 
 def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], model: type[BaseModel]) -> str:
@@ -76,7 +75,9 @@ def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> s
 def _state_law(kind: str, message: str) -> str:
     if kind in _LAWS:
         return _LAWS[kind]
-    message = _SUBJECT.sub("must ", message.removeprefix("Value error, "))
+    message = re.sub(
+        r"^[A-Z]\w*(?: \w+)? should (?=be |have |match |start |end )", "must ", message.removeprefix("Value error, ")
+    )
     if kind.endswith(("_parsing", "_from_float", "_short", "_long")):
         # Behind the comma pydantic says what came, in words that the value itself replaces.
         return message.partition(", ")[0]

@@ -28,7 +28,6 @@ _EXAMPLES = {
     "signal_unit": "V, mV, um, mm/s or g",
 }
 _SCALES = "7.87 V/mm, 200 mV/mil, 4 mV/(mm/s) or 100 mV/g"
-_NAME = re.compile(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?")
 
 
 def find_motion(unit: str) -> tuple[int, float] | None:
@@ -85,7 +84,7 @@ def _check_scale(value: Any) -> str:
 def _check_name(value: Any, key: str) -> str:
     """A unit that the ``key`` can take."""
     examples = _EXAMPLES[key]
-    if not isinstance(value, str) or not _NAME.fullmatch(value):
+    if not isinstance(value, str) or not re.fullmatch(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?", value):
         raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
     motion, volts = find_motion(value), find_volts(value)
     is_ = "voltage" if volts else KINDS[motion[0]] if motion else ""

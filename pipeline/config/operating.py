@@ -43,8 +43,6 @@ UNITS = (
     *("l/min", "l/h", "m**3/h", "kg/s", "kg/h", "percent"),
 )
 """A column of any other name is a condition where it ends in one of these."""
-_NO_DEGREES = ("C", "F")
-"""pint has other units of these names."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ def find_column(column: str) -> ConditionColumn | None:
     if word not in WRITTEN:
         return ConditionColumn(column, column, unit) if name and unit in UNITS else None
     try:
-        right = unit not in _NO_DEGREES and same_dimension(unit, WRITTEN[word])
+        right = unit not in ("C", "F") and same_dimension(unit, WRITTEN[word])
     except ValueError:
         right = False
     if not right:

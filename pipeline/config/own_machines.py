@@ -24,7 +24,6 @@ _PATHS = (
 )
 """Keys of a machine that hold a path."""
 _DATA_PATHS = ("data.vibration", "data.excitation", "data.known")
-_PACKAGE = re.compile(r"^# *@package +(\S+)", re.MULTILINE)
 
 
 def make_absolute(path: str | Path, folder: Path | None = None) -> Path:
@@ -89,7 +88,7 @@ def store_folder(folder: Path) -> None:
         keys = _PATHS if group == "machine" else (*(f"machine.{key}" for key in _PATHS), *_DATA_PATHS)
         if group.startswith(("machine", "experiment")):
             content = _resolve_paths(content, keys, path.parent)
-        package = _PACKAGE.search(path.read_text(encoding="utf-8"))
+        package = re.search(r"^# *@package +(\S+)", path.read_text(encoding="utf-8"), re.MULTILINE)
         ConfigStore.instance().store(
             option, content, group=group, package=package[1] if package else None, provider=str(path)
         )

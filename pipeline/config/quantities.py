@@ -17,9 +17,6 @@ from pydantic import BeforeValidator, Field
 
 from pipeline.config.section import Section
 
-_TEMPERATURE = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg[CF]|°[CF])\s*")
-_DEGREE = re.compile(r"(?:\bdeg|°)([CF])\b")
-
 
 @cache
 def _load_units() -> Any:
@@ -47,13 +44,15 @@ def _parse(text: str, unit: Any, example: str) -> float:
 
     if is_number(text):
         return float(text)
-    units, temperature = _load_units(), _TEMPERATURE.fullmatch(text)
+    units = _load_units()
+    temperature = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg[CF]|°[CF])\s*", text)
     try:
         if temperature:  # pint takes no product with a unit whose zero is elsewhere
             quantity = units.Quantity(float(temperature[1]), temperature[2])
         else:
             # pint's mil is an angle; a probe's is a length. A degree in a product is a difference.
-            quantity = units.Quantity(re.sub(r"\bmils?\b", "thou", _DEGREE.sub(r"delta_deg\1", text)))
+            differences = re.sub(r"(?:\bdeg|°)([CF])\b", r"delta_deg\1", text)
+            quantity = units.Quantity(re.sub(r"\bmils?\b", "thou", differences))
     except pint.UndefinedUnitError as error:
         raise ValueError(f"must have a known unit (such as {example}), but got {text!r}: {error}") from None
     except Exception:  # pint's parser raises many kinds (tokenize, syntax, assertion errors) for other text

@@ -24,8 +24,6 @@ NAME_LENGTH = 250
 PARAMETER_LENGTH = 6000
 TAG_LENGTH = 8000
 
-_FORBIDDEN_IN_NAME = re.compile(r"[^\w .:/-]")
-
 
 @dataclass(frozen=True)
 class StageRecord:
@@ -68,7 +66,7 @@ MetricValue = tuple[str, float, int, int]
 def clean_name(text: str) -> str:
     """``text`` as a name MLflow accepts: other characters become ``_``, at most 250 are kept."""
     # "/" makes folders of names, which must not be empty, "." or "..", nor start at the root.
-    parts = [word for word in _FORBIDDEN_IN_NAME.sub("_", text).split("/") if word not in ("", ".", "..")]
+    parts = [word for word in re.sub(r"[^\w .:/-]", "_", text).split("/") if word not in ("", ".", "..")]
     return "/".join(parts)[:NAME_LENGTH] or "_"
 
 
@@ -141,8 +139,6 @@ def collect_history(
 
 # --- what it was made with ---------------------------------------------------------------------------
 
-_PACKAGES = ("torch", "ross-rotordynamics", "mlflow", "numpy", "scipy", "hydra-core")
-
 
 def describe_provenance(code_folder: Path = Path(__file__).parent) -> dict[str, str]:
     """Tags of the code in ``code_folder``, the interpreter and the packages; what is not known has no tag."""
@@ -151,7 +147,7 @@ def describe_provenance(code_folder: Path = Path(__file__).parent) -> dict[str, 
         "mlflow.source.name": "pipeline",
         "mlflow.source.type": "LOCAL",
     }
-    for package in _PACKAGES:
+    for package in ("torch", "ross-rotordynamics", "mlflow", "numpy", "scipy", "hydra-core"):
         with suppress(importlib.metadata.PackageNotFoundError):
             tags[f"version.{package}"] = importlib.metadata.version(package)
     with suppress(OSError, KeyError, ImportError):

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pipeline.identification.identified import IdentifiedModel
 
 SPEED, NODE = "speed_rpm", "bearing_node"
-_REQUIREMENTS = ("mlflow", "numpy", "pandas", "pydantic", "safetensors", "torch")
 
 
 def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
@@ -102,7 +101,8 @@ def _save(
 
     # MLflow compares requirements with what is installed, for which it lists every file of every package: 0.7 s, and
     # these requirements were read from what is installed.
-    packages = [*_REQUIREMENTS, *(["pint"] if len(example.columns) > 1 else [])]
+    packages = ["mlflow", "numpy", "pandas", "pydantic", "safetensors", "torch"]
+    packages += ["pint"] if len(example.columns) > 1 else []
     check = "mlflow.utils.environment.warn_dependency_requirement_mismatches"
     # mlflow.pyfunc.log_model would do the same through the process-wide tracking URI and the active run, and
     # would load the model once more to try the example on it.

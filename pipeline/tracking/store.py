@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import TrackingConfig
 
-ARTIFACT_FOLDER = "mlruns"
 _SQLITE = "sqlite:///"
-_LOGGERS = ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")
 
 
 @contextmanager
@@ -56,7 +54,7 @@ def quiet_mlflow(timeout_seconds: float) -> Iterator[None]:
     with patch.dict(os.environ, environment), warnings.catch_warnings(action="ignore"), ExitStack() as put_back:
         import mlflow  # noqa: F401  # for its effect: it sets the levels of these loggers when it is imported
 
-        for logger in map(logging.getLogger, _LOGGERS):
+        for logger in map(logging.getLogger, ("mlflow", "alembic", "sqlalchemy.engine", "urllib3.connectionpool")):
             put_back.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL + 1)
         yield
@@ -138,7 +136,7 @@ def prepare_database(path: Path, timeout_seconds: float, creation_seconds: float
 
 def _locate_artifacts(path: Path) -> str:
     """The URI of the folder, beside the database ``path``, for the artifacts of its runs."""
-    return (path.parent / ARTIFACT_FOLDER).as_uri()
+    return (path.parent / "mlruns").as_uri()
 
 
 def _is_filled(path: Path) -> bool:

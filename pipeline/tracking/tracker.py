@@ -44,9 +44,6 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import TrackingConfig
 
-_METRICS_A_BATCH = 1000
-_PARAMETERS_A_BATCH = 100
-
 _running: list[tuple[SpawnProcess, Connection]] = []
 
 
@@ -220,11 +217,14 @@ def _log_values(
     """Log metrics and parameters in as few requests as MLflow takes them in."""
     from mlflow.entities import Metric, Param
     from mlflow.utils import chunk_list
+    from mlflow.utils.validation import MAX_METRICS_PER_BATCH, MAX_PARAMS_TAGS_PER_BATCH
 
     params = [Param(name, text) for name, text in flatten_parameters(parameters).items()]
-    for batch in chunk_list(params, _PARAMETERS_A_BATCH):
+    for batch in chunk_list(params, MAX_PARAMS_TAGS_PER_BATCH):
         client.log_batch(run_id, params=batch)
-    for batch in chunk_list([Metric(*value, model_id=model_id, run_id=run_id) for value in metrics], _METRICS_A_BATCH):
+    for batch in chunk_list(
+        [Metric(*value, model_id=model_id, run_id=run_id) for value in metrics], MAX_METRICS_PER_BATCH
+    ):
         client.log_batch(run_id, metrics=batch)
 
 

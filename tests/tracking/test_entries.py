@@ -99,8 +99,6 @@ def test_limits_are_those_of_mlflow(quiet: None) -> None:
     assert NAME_LENGTH == validation.MAX_ENTITY_KEY_LENGTH
     assert PARAMETER_LENGTH == validation.MAX_PARAM_VAL_LENGTH
     assert TAG_LENGTH == validation.MAX_TAG_VAL_LENGTH
-    assert tracker._METRICS_A_BATCH == validation.MAX_METRICS_PER_BATCH
-    assert tracker._PARAMETERS_A_BATCH == validation.MAX_PARAMS_TAGS_PER_BATCH
 
 
 def test_history_row_without_step_is_an_error() -> None:
