@@ -232,7 +232,7 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
     parameters = tuple(itertools.compress(measurement.parameters, kept))
     simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
-    return output_error(simpler.select(few), problem.basis, problem.plane_scale), torch.tensor(kept)
+    return output_error(simpler.select(few), problem.basis, problem.plane_scale), torch.tensor(kept, dtype=torch.bool)
 
 
 def _noise(whitened: Whitened, y: torch.Tensor) -> float:

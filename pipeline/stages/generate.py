@@ -11,7 +11,7 @@ from pipeline.problem.configured import find_idle, model_machine, read_probes
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis, require_own
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import write_data
+from pipeline.stages.own_data import write_data
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 

@@ -17,7 +17,7 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
 from pipeline.stages.analysis import Analysis, Workspace, require_own
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import write_data
+from pipeline.stages.own_data import write_data
 
 
 def run(analysis: Analysis) -> StageOutput:

@@ -122,7 +122,7 @@ def test_every_option_of_every_group(group: str, option: str, experiment: str, r
         return
     if option in ("law", "hybrid"):
         experiment = "oil_temperatures"  # the one whose machine has bearing laws
-    if option == "bearings":
+    if option.startswith("bearings"):
         experiment = "noisy_all"  # whole impedances, by the output error
     if group == "optimizer":
         chosen += [f"optimizer.{phase}.steps=3" for phase in ("adam", "lbfgs") if phase in option]
