@@ -171,7 +171,7 @@ class BearingsNetworkModelConfig(BearingsModelConfig):
     same prior: the coefficients follow what a spline between few nodes can't.
     """
 
-    kind: Literal["bearings_network"]  # type: ignore[assignment]
+    kind: Literal["bearings_network"]  # type: ignore[assignment]  # the tag of a union is narrower in each kind
     width: Annotated[int, Field(ge=1, le=512)]
     depth: Annotated[int, Field(ge=1, le=8)]
     activation: Literal["tanh", "silu", "sine"]

@@ -1,7 +1,7 @@
 """Units at the edge: a quantity in a config is a number in SI or a text such as ``150 mm``.
 
 Everything inside the package is SI and radians; this is the one place where a config's units are
-converted, by pint. Of the physical numbers of bearing laws a plain quantity is known, ``{guess, within}`` is unknown.
+converted, by pint. A physical number of a bearing law is known as a plain quantity, and unknown as ``{guess, within}``.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class FloatRange(_Dimension):
 class IntegerRange(FloatRange):
     """Whole numbers from ``low`` to ``high`` inclusive."""
 
-    kind: Literal["int"]  # type: ignore[assignment]
+    kind: Literal["int"]  # type: ignore[assignment]  # the tag of a union is narrower in each kind
     low: int
     high: int
 

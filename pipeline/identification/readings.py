@@ -15,11 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.data.dataset import project_direction
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import IN_BASELINE
 from pipeline.problem.response import (
-    BlockResponse,
     ResponseBlock,
     derive,
     derive_by_parameters,
@@ -131,28 +128,14 @@ def gather_readings(measurement: Measurement) -> Readings:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Runs of a block that see the same bearings, which may be others than in the baseline that was taken off."""
+    """Runs of a block that see the same bearings."""
 
     block: ResponseBlock  # at the model parameters
     variation: ResponseBlock | None  # its derivatives by them; None without any
     change: torch.Tensor  # dH, (G, S, 2 B, 2 B) N/m
-    eight: torch.Tensor  # (G, S, B, 8) coefficients as all runs have them
-    sizes: tuple[torch.Tensor, ...]  # (G, B) what these runs' are scaled by, and what that is more than in the baseline
-    scales: tuple[torch.Tensor, ...]  # (B, T) derivatives of these by the model parameters
-    taken: torch.Tensor  # (S, 2 B, R) m of the bearings in the baseline; R = 0 where none drifts
-
-    def respond(self, unbalance: torch.Tensor, derivative: bool = True) -> tuple[BlockResponse, torch.Tensor | float]:
-        """On these bearings, with (G, N) complex kg m; (G, S, 2 B, R) N that the baseline's motion exerts through what
-        they have changed by since.
-        """
-        if not self.taken.shape[-1]:
-            return respond(self.block, self.change, unbalance, derivative), 0.0
-        block = self.block
-        force = -impedance_change(self.eight * self.sizes[1][:, None, :, None], block.frequencies, 0.0) @ self.taken
-        sensors = block.forced_sensors + block.receptance_sensors @ force
-        bearings = block.forced_bearings + block.receptance_bearings @ force
-        block = replace(block, forced_sensors=sensors, forced_bearings=bearings)
-        return respond(block, self.change, unbalance, derivative), force
+    factor: torch.Tensor  # (G, B) what these runs' bearings are scaled by
+    eight: torch.Tensor  # (G, S, B, 8) coefficients before that
+    scale: torch.Tensor  # (B, T) derivative of the factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,30 +179,16 @@ class SensorModel:
 
     @cached_property
     def _drift(self) -> torch.Tensor:
-        """(R + 1, B, T) how model parameters scale each bearing in each run, and in the baseline; empty without any."""
+        """(R, B, T) how model parameters scale each bearing in each run; empty where none does."""
         import torch
 
-        parameters, runs = self.measurement.parameters, (*self.measurement.dataset.runs, IN_BASELINE)
+        parameters, runs = self.measurement.parameters, self.measurement.dataset.runs
         drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
         n_bearings = len(self.measurement.rotor.bearing_nodes)
         scales = torch.zeros(len(runs) if drifting else 0, n_bearings, len(parameters), dtype=torch.float64)
         for t, parameter in drifting:
             scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
         return scales
-
-    @cached_property
-    def _taken(self) -> torch.Tensor:
-        """(S, 2 B, R) m of the bearings in the baseline that was taken off, by the rigid motion that the probes show.
-
-        It is felt by what bearings change by, a few percent: what the shaft bends between probe and bearing is not.
-        """
-        import torch
-
-        rotor, channels = self.measurement.rotor, self.measurement.dataset.channels
-        place = (rotor.positions - rotor.positions.mean()) / np.ptp(rotor.positions)
-        shown = np.array([np.kron([1.0, place[node]], project_direction(angle)) for node, angle in channels])
-        wanted = np.concatenate([np.kron([[1.0, place[node]]], np.eye(2)) for node in rotor.bearing_nodes])
-        return torch.as_tensor(wanted @ np.linalg.pinv(shown) @ self.measurement.baseline)
 
     def _place(self, b: int, values: torch.Tensor, parameters: torch.Tensor) -> Iterator[_Placed]:
         """Block b at the model parameters: whole, or run by run where bearings drift between the runs."""
@@ -228,23 +197,19 @@ class SensorModel:
         shift, (known, by_parameters) = parameters - self.solved_at, self._known
         known = known + (by_parameters @ shift[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        none = torch.zeros(len(self.measurement.rotor.bearing_nodes), len(self.solved_at), dtype=torch.float64)
+        scales = torch.zeros(len(self.measurement.rotor.bearing_nodes), len(self.solved_at), dtype=torch.float64)
         whole, variation = self.blocks[b], self._variations[b] if self._variations else None
-        parts = [(whole, variation, none, none, torch.zeros(0))]
+        parts = [(whole, variation, scales)]
         if len(self._drift) and variation is not None:
-            *drift, before = self._drift
-            every = [(np.array([i]), r) for i, r in enumerate(whole.runs)]
-            parts = [
-                (whole.of_runs(i), variation.of_runs(i), drift[r], drift[r] - before, self._taken[..., [r]])
-                for i, r in every
-            ]
-        for block, variation, scale, change, taken in parts:
+            every = [(np.array([i]), self._drift[r]) for i, r in enumerate(whole.runs)]
+            parts = [(whole.of_runs(i), variation.of_runs(i), scale) for i, scale in every]
+        for block, variation, scale in parts:
             varied = block if variation is None else block.vary(variation, shift)
-            factor, since = 1 + parameters @ scale.mT, parameters @ change.mT  # (G, B)
-            on_shaft = impedance_change(
+            factor = 1 + parameters @ scale.mT  # (G, B)
+            change = impedance_change(
                 eight * factor[:, None, :, None], block.frequencies, self.measurement.response.reference
             )
-            yield _Placed(varied, variation, on_shaft, eight, (factor, since), (scale, change), taken)
+            yield _Placed(varied, variation, change, factor, eight, scale)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block.
@@ -258,7 +223,7 @@ class SensorModel:
 
         return [
             torch.cat(
-                [placed.respond(unbalance, False)[0].sensors for placed in self._place(b, values, parameters)], -1
+                [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters)], -1
             )
             for b in range(len(self.blocks))
         ]
@@ -281,22 +246,19 @@ class SensorModel:
         """As :meth:`derive`, of a part of a block."""
         import torch
 
-        response, more = placed.respond(unbalance)
-        motions = [response, replace(response, bearings=placed.taken)] if placed.taken.shape[-1] else [response]
-        by_motion = [derive(placed.block, motion) for motion in motions]  # (G, S, P, R, B, 8) each
-        sizes = [by * size[:, None, None, None, :, None] for by, size in zip(by_motion, placed.sizes, strict=False)]
-        by_coefficient = sum(sizes[1:], sizes[0]).flatten(-2)
+        response = respond(placed.block, placed.change, unbalance)
+        by_eight = derive(placed.block, response)  # (G, S, P, R, B, 8)
+        by_scale = torch.einsum("gsprbc,gsbc->gsprb", by_eight, placed.eight.to(by_eight.dtype))
+        by_coefficient = (by_eight * placed.factor[:, None, None, None, :, None]).flatten(-2)
         shape, kind = response.sensors.shape, by_coefficient.dtype
         by_planes = torch.zeros(*shape, unbalance.shape[-1], dtype=kind)
         if response.unit_sensors.shape[-1]:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
         by_parameters = torch.zeros(*shape, len(self.solved_at), dtype=kind)
         if placed.variation is not None:
-            by_parameters = derive_by_parameters(placed.variation, response, placed.change, unbalance, more)
-            by_parameters = by_parameters + by_coefficient @ self._known[1].to(kind)[:, None]
-            for by, scale in zip(by_motion, placed.scales, strict=False):
-                by_size = torch.einsum("gsprbc,gsbc->gsprb", by, placed.eight.to(kind))
-                by_parameters = by_parameters + by_size @ scale.to(kind)
+            by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
+            by_known = by_coefficient @ self._known[1].to(kind)[:, None]
+            by_parameters = by_model + by_known + by_scale @ placed.scale.to(kind)
         return response.sensors, by_coefficient @ self._influence.to(kind), by_planes, by_parameters
 
 

@@ -194,6 +194,7 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     )
 
     def make_mean(other: OutputError) -> _Mean:
+        """The mean of the networks as weights of its own basis, at the readings of ``other``."""
         return other.of_kind(
             _Mean,
             basis=basis,

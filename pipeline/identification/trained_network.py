@@ -39,7 +39,7 @@ class TrainedNetworks(OutputError):
 
     @cached_property
     def prior(self) -> Prior:
-        """Of the numbers; that of functions is no linear one."""
+        """What is known of the numbers; what is known of the functions is not linear in them."""
         return self.known
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:

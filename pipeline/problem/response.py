@@ -159,15 +159,15 @@ def derive(block: ResponseBlock, response: BlockResponse) -> Array:
 
 
 def derive_by_parameters(
-    variation: ResponseBlock, response: BlockResponse, change: Array, unbalance: Array | None, more: Array | float = 0.0
+    variation: ResponseBlock, response: BlockResponse, change: Array, unbalance: Array | None
 ) -> Array:
     """(G, S, P, R, T) derivative of the displacements at the sensors by model parameters other than the bearings', m.
 
-    With the force ``f = -dH q_b`` on the shaft, and ``more`` (G, S, 2 B, R) N beside it: ``dq_s = du0_s + da_sb f - T
-    dH (du0_b + da_bb f)``. ``change`` dH is (G, S, 2 B, 2 B), ``variation`` leads with T, ``response`` with batch G.
+    With the force ``f = -dH q_b`` on the shaft: ``dq_s = du0_s + da_sb f - T dH (du0_b + da_bb f)``. ``change`` dH is
+    (G, S, 2 B, 2 B), ``variation`` leads with T, ``response`` with the batch G.
     """
     library = _library(change)
-    force = (more - change @ response.bearings)[:, None]  # (G, 1, S, 2 B, R)
+    force = -(change @ response.bearings)[:, None]  # (G, 1, S, 2 B, R)
     at_sensors = variation.forced_sensors + variation.receptance_sensors @ force  # (G, T, S, P, R)
     at_bearings = variation.forced_bearings + variation.receptance_bearings @ force
     if unbalance is not None and variation.unit_sensors.shape[-1]:

@@ -62,6 +62,7 @@ def training_progress(name: str) -> Iterator[Progress]:
     with _show_bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
+            """As :data:`pipeline.identification.training.Progress`."""
             rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
                 task,

@@ -134,6 +134,8 @@ def made_once(*sources: str) -> Callable[[Callable[[Analysis], _T]], Callable[[A
     :class:`Workspace`."""
 
     def decorate(make: Callable[[Analysis], _T]) -> Callable[[Analysis], _T]:
+        """``make``, whose answer is kept."""
+
         @wraps(make)
         def look_up(analysis: Analysis) -> _T:
             paths = [getattr(analysis.files, name) for name in sources]

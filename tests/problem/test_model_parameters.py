@@ -17,7 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.readings import sensor_model
 from pipeline.problem.budget import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import IN_BASELINE, model_parameters
+from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, impedance_change, respond
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -116,27 +116,6 @@ def test_a_bearing_that_drifts_is_another_one_in_that_run(measurement: Measureme
     found = model.derive(0, values, unbalance, none.new_zeros(1, 1))[3][0, ..., 0].numpy()
     expected = ((ahead - behind) / (2 * step))[0].numpy()
     assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
-
-
-def test_a_bearing_may_be_another_one_in_the_baseline(measurement: Measurement) -> None:
-    """What was measured less a baseline, on bearings that differ in both, by two whole responses."""
-    planes, known = np.array([1e-4 + 2e-5j]), measurement.known
-    stated = replace(measurement, parameters=(), values=())
-    as_found, later = (
-        replace(known, values=known.values * (1 + np.array(share)[:, None, None]))
-        for share in ((0.02, -0.04), (0.06, 0.0))
-    )
-    baseline = stated.response.predict(as_found, planes) - stated.response.predict(as_found)
-    data = replace(measurement.dataset, subtracted=baseline)
-    drifts = model_parameters({"bearing_drift": 0.02}, measurement.rotor, data, known, measurement.unknowns)
-    shares = {(0, IN_BASELINE): 1.0, (1, IN_BASELINE): -2.0, (0, "b"): 3.0}
-    shift = torch.tensor([[shares.get((drift.place, drift.detail), 0.0) for drift in drifts]], dtype=torch.float64)
-    values = torch.as_tensor(known.values[..., [0, 3]].swapaxes(0, 1).reshape(1, 7, -1))
-    model = sensor_model(replace(stated, dataset=data, parameters=drifts))
-    (readings,) = model.predict(values, torch.zeros(1, 1, dtype=torch.complex128), shift)
-    for run, bearings in ((0, known), (1, later)):
-        expected = (stated.response.predict(bearings, planes) - baseline)[..., run]
-        np.testing.assert_allclose(readings[0, ..., run].numpy(), expected, rtol=1e-9)
 
 
 def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
