@@ -56,9 +56,7 @@ class OutputError:
     scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
     plane_scale: float  # kg m that a weight of 1 stands for
     law: LawTerm  # what the model's outputs correct
-    functions: Prior = field(
-        default_factory=no_prior
-    )  # of the coefficients as functions of the speed, on their weights
+    functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
 
     @property
     def measurement(self) -> Measurement:

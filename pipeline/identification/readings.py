@@ -36,9 +36,7 @@ class Readings:
     runs: tuple[np.ndarray, ...]  # of each block
     measured: tuple[torch.Tensor, ...]  # (G or 1, S, P, R) m
     mixing: tuple[torch.Tensor, ...]  # (R, S P, S P) where noise ties probes and speeds together; none elsewhere
-    precision: tuple[
-        torch.Tensor, ...
-    ] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation: both parts count
+    precision: tuple[torch.Tensor, ...] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation, for both parts
     common: tuple[torch.Tensor, ...] = ()  # likewise, a subtracted baseline's deviation over the own one; none without
 
     @property

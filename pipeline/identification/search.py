@@ -179,11 +179,16 @@ class Searched:
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
 
-    def mix(self, covariance: np.ndarray) -> np.ndarray:
-        """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by."""
+    def mix(self, covariance: np.ndarray, beyond: float = 0.05, reach: float = 0.5) -> np.ndarray:
+        """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by.
+
+        A 95 % band must hold an answer whose share is ``beyond`` 5 %, which a mean square need not: such a one counts
+        by ``reach`` at least, for which the band of a normal distribution ends 1.4 times as far away as it lies.
+        """
         off = (self.weights - self.weights[:1])[:, 0].numpy()
         each = np.concatenate([covariance[None], self.covariance[1:].numpy()])
-        return np.asarray(np.einsum("g,gzy->zy", self.shares, off[:, :, None] * off[:, None] + each))
+        held = np.maximum(self.shares, reach * np.minimum(1.0, (self.shares / beyond) ** 2))
+        return np.asarray(np.einsum("gz,gy,g->zy", off, off, held) + np.einsum("gzy,g->zy", each, self.shares))
 
 
 def search(

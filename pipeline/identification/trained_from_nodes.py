@@ -44,25 +44,15 @@ def train_from_nodes(
         still: training ends where ``patience`` steps lower the loss by less than this share, which is about one of
             chi-square: far less than what the readings leave open.
     """
-    import torch
-
     problem, spline = fit.problem, fit.problem.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
-    over, nodes = (
-        torch.linspace(-1.0, 1.0, times * spline.n_functions, dtype=torch.float64)[:, None]
-        for times in (points_a_node, 1)
-    )
-    drawn = model.spread_parameters(np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed))
-    first = model.with_output_at(drawn, over, spline.raw(problem.parameters(fit.weights)[0], over))
-    start = torch.cat([first.flatten(), fit.weights[0, 0, problem.places.n_coefficients :]])
-    rows = torch.eye(len(start), dtype=start.dtype)
-    rows[range(first.numel()), range(first.numel())] = hold**0.5
+    start, n_of_networks = _follow(fit, model, setup.seed, points_a_node)
     training = problem.of_kind(
         TrainedNetworks,
         basis=replace(problem.basis, model=model),
         inputs=model.scaled_inputs(problem.measurement.dataset.points),
-        known=Prior(rows, torch.where(torch.arange(len(start)) < first.numel(), rows @ start, 0.0)),
-        nodes=nodes,
+        known=_hold(start, n_of_networks, hold),
+        nodes=_spread(spline.n_functions),
     )
     last = setup.optimizer.levenberg_marquardt.model_copy(update={"patience": patience})
     patient = replace(
@@ -72,8 +62,9 @@ def train_from_nodes(
     )
     minimum = minimise(training, start[None, None], patient, progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
-    weights = torch.zeros_like(fit.weights)
-    weights[..., problem.places.n_coefficients :] = minimum.parameters[..., first.numel() :]
+    weights = fit.weights.clone()
+    weights[..., : problem.places.n_coefficients] = 0.0  # deviations from the networks
+    weights[..., problem.places.n_coefficients :] = minimum.parameters[..., n_of_networks:]
     functions = Prior(problem.functions.rows, -training.deviate(minimum.parameters)[0])
     steps = fit.minimum.steps
     history = (*fit.minimum.history, *(dict(row) | {"step": steps + int(row["step"])} for row in minimum.history))
@@ -84,6 +75,35 @@ def train_from_nodes(
         problem=replace(_pose(problem, basis), functions=functions).update(weights),
         minimum=replace(whole, seconds=fit.minimum.seconds + minimum.seconds),
     )
+
+
+def _follow(fit: OutputErrorFit, model: CoefficientModel, seed: int, points_a_node: int) -> tuple[torch.Tensor, int]:
+    """The numbers (Q,) of networks that follow a fit at nodes, then those of the fit beside its coefficients; how many
+    are of the networks.
+    """
+    import torch
+
+    problem = fit.problem
+    over = _spread(points_a_node * problem.model.n_functions)
+    drawn = model.spread_parameters(np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(seed))
+    first = model.with_output_at(drawn, over, problem.model.raw(problem.parameters(fit.weights)[0], over))
+    return torch.cat([first.flatten(), fit.weights[0, 0, problem.places.n_coefficients :]]), first.numel()
+
+
+def _spread(count: int) -> torch.Tensor:
+    """(S, 1) scaled speeds, evenly."""
+    import torch
+
+    return torch.linspace(-1.0, 1.0, count, dtype=torch.float64)[:, None]
+
+
+def _hold(start: torch.Tensor, n_of_networks: int, information: float) -> Prior:
+    """Each number of the networks about its ``start`` (Q,), the others about zero with unit variance."""
+    import torch
+
+    mine = torch.arange(len(start)) < n_of_networks
+    rows = torch.diag(torch.where(mine, information**0.5, 1.0).to(start.dtype))
+    return Prior(rows, torch.where(mine, rows @ start, 0.0))
 
 
 def _about(model: CoefficientModel, networks: torch.Tensor) -> Basis:

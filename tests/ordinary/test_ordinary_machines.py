@@ -146,13 +146,19 @@ def test_a_network_is_read_back(answer: tuple[Any, Any], tmp_path: Path) -> None
 
 
 def test_the_answers_of_a_search_are_mixed(answer: tuple[Any, Any]) -> None:
-    """With the one answer it is its covariance; with others it is a covariance, too: no variance below zero."""
+    """With the one answer it is its covariance; with others it is a covariance, too, whose 95 % bands hold those that
+    have more than 5 %.
+    """
     searched = answer[0].start.searched
     best = np.diag(np.linspace(0.1, 1.0, searched.covariance.shape[-1])) * 1e-3
     mixed = searched.mix(best)
     assert np.linalg.eigvalsh(mixed).min() > 0
     alone = replace(searched, shares=np.eye(len(searched.shares))[0])
     np.testing.assert_array_equal(alone.mix(best), best)
+    shares = np.zeros(len(searched.shares))
+    shares[:2] = 0.94, 0.06
+    other = (searched.weights[1] - searched.weights[0])[0].numpy()
+    assert (np.abs(other) < 1.96 * np.sqrt(np.diag(replace(searched, shares=shares).mix(best)))).all()
 
 
 def test_bands_hold_on_an_ordinary_machine(answer: tuple[Any, Any]) -> None:
