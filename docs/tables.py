@@ -32,6 +32,7 @@ PAGES = (
     "docs/trust.md",
     "docs/laws.md",
     "studies/coverage/README.md",
+    "studies/ordinary/README.md",
     "studies/oil_temperatures/README.md",
 )
 MEASURED = ROOT / "docs" / "measured"

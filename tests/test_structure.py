@@ -323,8 +323,8 @@ def test_an_experiment_has_a_name_a_description_and_thresholds(name: str) -> Non
     assert all(len(rule["why"].split()) >= 5 for rule in rules)
 
 
-def test_every_threshold_file_is_of_an_experiment() -> None:
-    assert sorted(path.stem for path in (CONF / "thresholds").glob("*.yaml")) == EXPERIMENTS
+def test_every_threshold_file_is_of_an_experiment_or_of_the_drawn_machines() -> None:
+    assert sorted(path.stem for path in (CONF / "thresholds").glob("*.yaml")) == sorted([*EXPERIMENTS, "ordinary"])
 
 
 @pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda p: p.relative_to(CONF).as_posix())

@@ -107,13 +107,14 @@ class MeasuredForceConfig(ForceConfig):
 
 
 class MeasuredRunConfig(Section):
-    """One run: where its data are, and what excited it; nothing only in the baseline run.
+    """One run: where its data are (``sheet`` of an Excel workbook), and what excited it; nothing only in the baseline.
 
     ``operating`` are its operating conditions. A run may come several times, each time at others.
     """
 
     name: Text
     file: Text | None = None
+    sheet: Text | None = None
     operating: Conditions = Field(default_factory=dict)
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()

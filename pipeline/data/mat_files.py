@@ -18,11 +18,18 @@ from pipeline.errors import DataError, nearest
 _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
 
 
+def require_file(path: Path) -> None:
+    """Raise DataError where there is no such file, with the nearest of those beside it."""
+    if not path.is_file():
+        beside = [other.name for other in path.parent.glob("*")] if path.parent.is_dir() else []
+        hint = nearest(path.name, beside).partition("(known")[0].strip()
+        raise DataError(f"'{path}' must exist, but there is no such file{hint and ': '}{hint}")
+
+
 @contextmanager
 def open_measured(path: Path, kind: str) -> Iterator[None]:
     """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
+    require_file(path)
     try:
         yield
     except DataError:

@@ -13,8 +13,9 @@ import numpy as np
 
 from pipeline.config.operating import ConditionColumn, column_of, find_columns
 from pipeline.config.quantities import from_base
+from pipeline.data.csv_format import CsvConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.tables import PLAIN, Columns, CsvConfig, read_table
+from pipeline.data.tables import PLAIN, Columns, read_table
 from pipeline.errors import DataError
 
 _SHOWN = {"Pa": ("bar", "bar"), "percent": ("percent", "%")}

@@ -9,18 +9,17 @@ import csv
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
-from pipeline.config.section import NonNegativeInt, Section, rule
-from pipeline.data.mat_files import open_measured, read_mat, write_reason
+from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, recognize_csv
+from pipeline.data.mat_files import open_measured, read_mat, require_file, write_reason
 from pipeline.errors import DataError, nearest
 from pipeline.files import write_beside
 
@@ -31,24 +30,19 @@ SCHEMA = "1"
 _MARK = "bearing_identification."
 Columns = dict[str, np.ndarray]
 """Name -> values: float arrays of numbers, object arrays of texts."""
-_Table = tuple[list[str], Sequence[Any]]
-"""The names of the columns, and the columns: sequences, arrays, or Arrow's of texts."""
 
 
-class CsvConfig(Section):
-    """The format of a CSV file; ``skip_rows`` are lines before the header (also in an Excel sheet)."""
+class _Table(NamedTuple):
+    """A table as it is stored."""
 
-    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
-    decimal: Literal[".", ","] = "."
-    skip_rows: NonNegativeInt = 0
-
-    @rule
-    def _apart(self) -> Iterator[str]:
-        if self.delimiter == self.decimal:
-            yield f"must have a delimiter that is not the decimal mark, but both are {self.decimal!r}"
+    names: list[str]
+    columns: Sequence[Any]  # sequences, arrays, or Arrow's columns of texts
+    first: int = 1  # the row of the first values, as the file counts them
+    decimal: str = "."
 
 
 PLAIN = CsvConfig()
+"""All of it recognised."""
 
 
 def read_table(
@@ -57,14 +51,16 @@ def read_table(
     optional: Mapping[str, str] | Callable[[list[str]], Mapping[str, str]] | None = None,
     text: CsvConfig = PLAIN,
 ) -> Columns:
-    """The ``columns`` of a CSV, Excel (.xlsx, first sheet), Parquet or MAT file, and those ``optional`` ones it has.
+    """The ``columns`` of a CSV, Excel (.xlsx), Parquet or MAT file, and those ``optional`` ones it has.
+
+    ``text`` states how a CSV file is written, and the sheet of a workbook (else the first one).
 
     Both: name -> "number", "number or blank" (NaN), or "text"; what is optional may depend on the names that are there.
 
     Raises DataError: no such file, unreadable or truncated, an older schema, no rows, a column that is missing, there
     twice or of another kind, NaN or infinite values.
     """
-    names, table = _read_any(path, columns, text)
+    names, table, first, decimal = _read_any(path, columns, text)
     counts = Counter(names)
     for name in columns:
         if name not in counts:
@@ -84,22 +80,21 @@ def read_table(
                 column = column if isinstance(column, np.ndarray | Sequence) else _to_array(column)
                 columns_read[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
             else:
-                columns_read[name] = _to_numbers(path, name, column, kind, text.decimal)
+                columns_read[name] = _to_numbers(path, name, column, kind, first, decimal)
     return columns_read
 
 
 def list_columns(path: Path, text: CsvConfig = PLAIN) -> list[str]:
     """The names of the columns, in their order. Raises DataError as :func:`read_table`."""
-    return _read_any(path, {}, text)[0]
+    return _read_any(path, {}, text).names
 
 
 def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
+    require_file(path)
     return _READERS.get(path.suffix.lower(), _read_csv)(path, columns, text)
 
 
-def _to_numbers(path: Path, name: str, column: Any, kind: str, decimal: str) -> np.ndarray:
+def _to_numbers(path: Path, name: str, column: Any, kind: str, first: int, decimal: str) -> np.ndarray:
     if not isinstance(column, np.ndarray | Sequence):
         column = _parse_numbers(column) if decimal == "." else column.to_pylist()
     if isinstance(column, np.ndarray) and column.dtype.kind in "iuf":
@@ -109,7 +104,7 @@ def _to_numbers(path: Path, name: str, column: Any, kind: str, decimal: str) -> 
     bad = np.flatnonzero(np.isinf(values) if kind == "number or blank" else ~np.isfinite(values))
     if len(bad):
         raise DataError(
-            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + 1} has {column[bad[0]]!r}"
+            f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + first} has {column[bad[0]]!r}"
             + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
         )
     return values
@@ -120,8 +115,10 @@ def _to_number(value: Any, decimal: str) -> float:
     if value is None or value == "":
         return math.nan
     if isinstance(value, str):
-        # Python takes 1_000 for a thousand; beside a decimal comma, a point may stand for thousands.
-        if "_" in value or not value.isascii() or (decimal != "." and "." in value):
+        thousands = "," if decimal == "." else "."
+        if thousands in value and is_grouped(value, thousands):
+            value = value.replace(thousands, "")
+        if "_" in value or not value.isascii() or thousands in value:  # Python takes 1_000 for a thousand
             return math.inf
         value = value.replace(decimal, ".")
     elif isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -151,32 +148,43 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
     import pyarrow as pa
     from pyarrow import csv as arrow
 
-    with suppress(OSError, ValueError), path.open(newline="", encoding="utf-8") as file:
+    text = recognize_csv(path, columns, text)
+    with suppress(OSError, ValueError), path.open(newline="", encoding=text.encoding) as file:
         if not any('"' in content or "\0" in content for content in iter(partial(file.read, block), "")):
             stored = arrow.read_csv(
                 path,
-                read_options=arrow.ReadOptions(skip_rows=text.skip_rows, use_threads=False),
+                read_options=arrow.ReadOptions(
+                    skip_rows=text.skip_rows,
+                    skip_rows_after_names=text.unit_rows,
+                    encoding=(text.encoding or "").replace("utf-8-sig", "utf8"),
+                    use_threads=False,
+                ),
                 parse_options=arrow.ParseOptions(delimiter=text.delimiter),
                 convert_options=arrow.ConvertOptions(default_column_type=pa.string()),
             )
-            return stored.column_names, stored.columns
+            return _Table(stored.column_names, stored.columns, text.first, text.decimal or ".")
     return _explain_csv(path, text)
 
 
 def _explain_csv(path: Path, text: CsvConfig) -> _Table:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(islice(file, text.skip_rows, None), delimiter=text.delimiter) if row]
+        with path.open(newline="", encoding=text.encoding) as file:
+            lines = islice(file, text.skip_rows or 0, None)
+            rows = [row for row in csv.reader(lines, delimiter=text.delimiter or ",") if row]
         header = rows[0]
-        for i, row in enumerate(rows):
+        for i, row in enumerate(rows, (text.skip_rows or 0) + 1):
             if len(row) > len(header):
                 raise ValueError(f"row {i} has {len(row)} fields, the header {len(header)}")
             if any("\0" in field for field in row):
                 raise ValueError(f"row {i} has bytes that are no text")
     except (OSError, ValueError, IndexError, csv.Error) as error:
         reason = "it is empty" if isinstance(error, IndexError) else write_reason(error)
-        raise DataError(f"'{path}' must be a CSV table, but it can't be read as one ({reason})") from None
-    return header, [column[1:] for column in zip_longest(*rows, fillvalue="")]
+        raise DataError(
+            f"'{path}' must be a CSV table, but it can't be read as one ({reason}); its format can be stated: "
+            "csv: {encoding, delimiter, decimal, skip_rows, unit_rows}"
+        ) from None
+    columns = [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")]
+    return _Table(header, columns, text.first, text.decimal or ".")
 
 
 def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
@@ -185,14 +193,20 @@ def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Tab
         import openpyxl
 
         book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-        sheet = book.worksheets[0]
+        if text.sheet and text.sheet not in book.sheetnames:
+            raise DataError(f"'{path}' must have the sheet '{text.sheet}': {nearest(text.sheet, book.sheetnames)}")
+        sheet = book[text.sheet or book.sheetnames[0]]
         sheet.reset_dimensions()  # what other programs write there may be wrong
-        header, *rows = islice(sheet.iter_rows(values_only=True), text.skip_rows, None)
+        rows = list(sheet.iter_rows(values_only=True))
         book.close()
+        skip, units = find_header(rows[:100], columns, text.skip_rows)
+        units = units if text.unit_rows is None else text.unit_rows
+        header, rows = rows[skip], rows[skip + 1 + units :]
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
-    return [str(name) for name in header], [column[1:] for column in table]
+    names = [str(name) for name in header]
+    return _Table(names, [column[1:] for column in table], skip + units + 2, text.decimal or ".")
 
 
 def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
@@ -201,7 +215,7 @@ def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
         raise DataError(f"'{path}' must have as many values in every variable, but it has {counts}")
-    return list(mat), [values if values.dtype.kind in "iuf" else values.tolist() for values in mat.values()]
+    return _Table(list(mat), [values if values.dtype.kind in "iuf" else values.tolist() for values in mat.values()])
 
 
 def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
@@ -223,7 +237,7 @@ def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _T
             f"'{path}' must have the file schema {SCHEMA}, but it was written with schema {schema}: make it "
             "again with stage=generate"
         )
-    return stored.column_names, table
+    return _Table(stored.column_names, table)
 
 
 _READERS: dict[str, Callable[[Path, Mapping[str, str], CsvConfig], _Table]] = {

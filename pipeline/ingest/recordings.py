@@ -1,18 +1,20 @@
-"""Time signals as they are stored: CSV, Excel, Parquet, HDF5, TDMS or MAT, by the file's ending.
+"""Time signals as they are stored: CSV, Excel, Parquet, NPZ, WAV, HDF5, TDMS or MAT, by the file's ending.
 
 Legend: n samples.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.data.csv_format import CsvConfig
 from pipeline.data.mat_files import open_measured, read_mat
-from pipeline.data.tables import CsvConfig, read_table
+from pipeline.data.tables import read_table
 from pipeline.errors import DataError, nearest
 
 Channels = dict[str, np.ndarray]
@@ -44,7 +46,7 @@ def read_recording(
         channels = read_table(path, dict.fromkeys(wanted, "number"), text=text)
     else:
         raise DataError(
-            f"'{path}' must end in .csv, .txt, .xlsx, .parquet, .h5, .hdf5, .tdms or .mat, but it ends in "
+            f"'{path}' must end in .csv, .txt, .xlsx, .parquet, .npz, .wav, .h5, .hdf5, .tdms or .mat, but it ends in "
             f"'{path.suffix}'"
         )
     count = check_channels(path, channels)
@@ -171,9 +173,44 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
     return channels, next(iter(rates), None)
 
 
+def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
+    with open_measured(path, "NumPy file (.npz)"), np.load(path, allow_pickle=False) as file:
+        for name in (*names, *([rate] if rate else [])):
+            if name not in file.files:
+                raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, file.files)}")
+        channels = {name: file[name] for name in names}
+        for name, values in channels.items():
+            if values.ndim != 1 or values.dtype.kind not in "iuf":
+                found = f"{values.dtype} of shape {values.shape}"
+                raise DataError(f"'{path}' must have one row of numbers in '{name}', but it has {found}")
+        stated = float(file[rate].reshape(-1)[0]) if rate else None
+        return {name: values.astype(float) for name, values in channels.items()}, stated
+
+
+def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
+    """Channels are called 1, 2, ..; full scale is one."""
+    from scipy.io import wavfile
+
+    with open_measured(path, "WAV file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of parts that hold no samples
+        rate, samples = wavfile.read(path)
+        every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
+        for name in names:
+            if name not in every:
+                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
+        middle, full = 0.0, 1.0
+        if samples.dtype.kind != "f":
+            limits = np.iinfo(samples.dtype)
+            full = (limits.max - limits.min + 1) / 2
+            middle = limits.min + full
+        return {name: (every[name] - middle) / full for name in names}, float(rate)
+
+
 _READERS: dict[str, Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), _read_hdf5),
     ".tdms": _read_tdms,
     ".mat": _read_mat,
+    ".npz": _read_npz,
+    ".wav": _read_wav,
 }
 """By a file's ending: the channels, and the sample rate in Hz that the file states."""

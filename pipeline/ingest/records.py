@@ -24,8 +24,9 @@ from pipeline.config.measured import (
 from pipeline.config.motion import to_motion
 from pipeline.config.quantities import to_si
 from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.data.csv_format import CsvConfig
 from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
-from pipeline.data.tables import CsvConfig, read_table
+from pipeline.data.tables import read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.tracks import LARGEST, format_rpm

@@ -26,7 +26,8 @@ from pipeline.config.operating import ConditionColumns
 from pipeline.config.quantities import to_base
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section, rule
-from pipeline.data.tables import Columns, CsvConfig, read_table
+from pipeline.data.csv_format import CsvConfig, describe_format
+from pipeline.data.tables import Columns, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
@@ -124,7 +125,8 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
     columns = [column for pair in pairs.values() for column in (pair.amplitude, pair.phase)]
     columns += [condition.column for condition in named.conditions.values()]
     labels = {} if wide else {named.run: "text", named.probe: "text"}
-    table = read_table(path, labels | dict.fromkeys((named.speed, *columns), "number"), text=config.csv)
+    kinds, text = labels | dict.fromkeys((named.speed, *columns), "number"), config.csv.on(run.sheet)
+    table = read_table(path, kinds, text=text)
     table = table if wide else _select_run(config, run, table, path)
     tracks, phases = {}, []
     for name, pair in pairs.items():
@@ -135,7 +137,8 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
             rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
         tracks[name] = _make_track(config, run, name, rows, pair, where)
         phases.append(rows[pair.phase])
-    notes = note_cut(path) + _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
+    notes = describe_format(path, kinds, text) + note_cut(path)
+    notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
     return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=_average_conditions(config, table))
 
 

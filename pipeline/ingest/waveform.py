@@ -22,7 +22,7 @@ from pipeline.config.measured import (
 from pipeline.config.motion import SignalUnit, to_motion
 from pipeline.config.quantities import Frequency
 from pipeline.config.section import rule
-from pipeline.data.tables import CsvConfig
+from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
@@ -206,10 +206,11 @@ class WaveformRecordingsConfig(SignalConfig):
         """One file of a run. Raises DataError."""
         tacho = [name for name in (self.tacho.mark_channel, run.tacho or self.tacho.channel) if name]
         names = {name: run.channels.get(name, probe.channel) for name, probe in self.probes.items()}
+        text, wanted = self.csv.on(run.sheet), [*names.values(), *reversed(tacho)]
         time, channels = read_recording(
             path,
-            [*names.values(), *reversed(tacho)],
-            self.csv,
+            wanted,
+            text,
             self.time,
             self.time_unit,
             run.sample_rate or self.sample_rate,
@@ -220,7 +221,7 @@ class WaveformRecordingsConfig(SignalConfig):
             {name: channels[channel] for name, channel in names.items()},
             tuple((name, channels[name]) for name in tacho),
             self.tacho.pulses_per_revolution,
-            note_cut(path) if path.suffix.lower() in (".csv", ".txt") else (),
+            describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else (),
         )
 
 

@@ -26,7 +26,7 @@ LACKS = {
     "rolling": (0.30, 0.40, 0.08, 0.03),
 }
 """Family -> standard deviations of what theory lacks: of ln |Z|, of asinh, of cross stiffness and of cross damping over
-g. Chosen on twelve drawn machines, judged on others (studies/coverage). Half of them trusts theory too much where it is
+g. Chosen on twelve drawn machines, judged on others (studies/ordinary). Half of them trusts theory too much where it is
 15 to 30 % off; evidence of the readings picks that half."""
 
 

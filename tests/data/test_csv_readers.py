@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pipeline.data import tables
-from pipeline.data.tables import Columns, CsvConfig, read_table
+from pipeline.data.csv_format import CsvConfig, recognize_csv
+from pipeline.data.tables import Columns, read_table
 from pipeline.errors import DataError
 
 NUMBERS = ("1", "2.5", "-3e-7", "+.5", "0.1")
@@ -76,7 +77,9 @@ def test_both_readers_give_the_same(asked: tuple[bytes, dict[str, str], CsvConfi
     path = tmp_path / "table.csv"
     path.write_bytes(content)
     fast = read_by(tables._read_csv, path, kinds, text)
-    slow = read_by(lambda path, columns, text: tables._explain_csv(path, text), path, kinds, text)
+    slow = read_by(
+        lambda path, columns, text: tables._explain_csv(path, recognize_csv(path, columns, text)), path, kinds, text
+    )
     if isinstance(fast, str) or isinstance(slow, str):
         assert fast == slow
         return

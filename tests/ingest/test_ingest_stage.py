@@ -89,7 +89,11 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
         table_config([ONE], slow_roll={"vectors": {"A": {"amplitude": "1 um", "phase": "1 rad"}}}),
         "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase",
     ),
-    "comma twice": (table_config([ONE], csv={"decimal": ","}), "must have a delimiter that is not the decimal mark"),
+    "comma twice": (
+        table_config([ONE], csv={"delimiter": ",", "decimal": ","}),
+        "must have a delimiter that is not the decimal mark",
+    ),
+    "no encoding": (table_config([ONE], csv={"encoding": "cp12"}), "must have an encoding such as utf-8 or cp1252"),
     "no unit of signals": (waves(signal_unit=None), "signal_unit"),
     "no kind of records": (waves(records=None), "must give records (constant_speed or run_up)"),
     "a run-up without speeds": (waves(speeds=None), "must give speeds"),

@@ -12,6 +12,10 @@ import pytest
 from conftest import refused
 from measured_files import PROBES, probes_config, rotating, tacho_of, uff_set, write_hdf5, write_tdms, write_uff
 from reading import GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, response, seen, waves
+from scipy.io import wavfile
+
+from pipeline.data.csv_format import CsvConfig
+from pipeline.ingest.recordings import read_recording
 
 UFF = {"length": "um", "amplitude": "rms", "phase": "lead", "speed": "rpm"}
 RESPONSES = {"A": [10, 1], "B": [10, 2], "C": [20, 1], "D": [20, 2]}
@@ -163,10 +167,17 @@ def write_csv(path: Path, channels: dict[str, np.ndarray], rate: float | None = 
     return path
 
 
+def write_npz(path: Path, channels: dict[str, np.ndarray], rate: float) -> Path:
+    """An array a channel, and ``fs``."""
+    np.savez(path, **channels, fs=np.array([rate]))
+    return path
+
+
 CONTAINERS: dict[str, tuple[Callable[..., Path], str, dict[str, Any]]] = {
     "csv": (write_csv, "", {"sample_rate": None, "time": "time", "time_unit": "s"}),
     "h5": (write_hdf5, "", {"sample_rate": None, "sample_rate_attribute": "fs"}),
     "tdms": (write_tdms, "run/", {"sample_rate": None}),
+    "npz": (write_npz, "", {"sample_rate": None, "sample_rate_attribute": "fs"}),
 }
 
 
@@ -182,7 +193,7 @@ TRACKED = np.arange(800.0, 2501.0, 100.0)
 
 @pytest.mark.parametrize("ending", CONTAINERS)
 def test_run_ups(ending: str, tmp_path: Path) -> None:
-    """CSV, HDF5 and TDMS: the vectors of the grid within 0.02 %, runout subtracted, one negative scale."""
+    """CSV, HDF5, TDMS and NPZ: the vectors of the grid within 0.02 %, runout subtracted, one negative scale."""
     write, prefix, clock = CONTAINERS[ending]
     runs = [
         run | {"file": str(write(tmp_path / f"{run['name']}.{ending}", run_up(TURNS[run["name"]]), RATE))}
@@ -328,6 +339,20 @@ def test_a_file_that_says_another_rate(tmp_path: Path) -> None:
 
 
 def test_a_file_of_an_unknown_kind(tmp_path: Path) -> None:
-    (tmp_path / "one.wav").write_bytes(b"x")
-    with refused("must end in .csv, .txt, .xlsx, .parquet, .h5, .hdf5, .tdms or .mat, but it ends in '.wav'"):
-        read(signal_config("", [RUNS[0] | {"file": str(tmp_path / "one.wav")}]))
+    (tmp_path / "one.mp3").write_bytes(b"x")
+    with refused(
+        "must end in .csv, .txt, .xlsx, .parquet, .npz, .wav, .h5, .hdf5, .tdms or .mat, but it ends in '.mp3'"
+    ):
+        read(signal_config("", [RUNS[0] | {"file": str(tmp_path / "one.mp3")}]))
+
+
+@pytest.mark.parametrize("kind", ["int16", "int32", "uint8", "float32"])
+def test_full_scale_of_a_wav_file_is_one(kind: str, tmp_path: Path) -> None:
+    signals = np.linspace(-0.9, 0.9, 50)[:, None] * [1.0, -0.5]
+    full, middle = {"int16": (32767, 0), "int32": (2147483647, 0), "uint8": (127, 128), "float32": (1, 0)}[kind]
+    wavfile.write(tmp_path / "a.wav", 5120, (signals * full + middle).astype(kind))
+    time, channels = read_recording(tmp_path / "a.wav", ["2", "1"], CsvConfig())
+    assert time[1] == 1 / 5120
+    np.testing.assert_allclose(np.stack([channels["1"], channels["2"]], axis=1), signals, atol=0.02)
+    with refused("must have the channel '3'"):
+        read_recording(tmp_path / "a.wav", ["3"], CsvConfig())

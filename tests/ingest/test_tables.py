@@ -14,8 +14,9 @@ from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, ta
 from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
 
 from pipeline.data.coefficient_files import read_known
+from pipeline.data.csv_format import CsvConfig
 from pipeline.data.excitation_files import write_excitation
-from pipeline.data.tables import CsvConfig, read_table
+from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError
 
@@ -71,6 +72,53 @@ def test_a_table_as_written_elsewhere(tmp_path: Path) -> None:
     check_read(read(table_config(runs, csv=said)))
 
 
+def write_as_a_logger(table: pd.DataFrame) -> list[str]:
+    """Lines with a title, the header, units, and numbers with decimal commas and parted thousands."""
+    numbers = [[f"{value:_}".replace(".", ",").replace("_", ".") for value in row] for row in table.to_numpy().tolist()]
+    units = ["rpm", *["µm pp", "deg lag"] * (len(table.columns) // 2)]
+    return ["Plant: Möhne; fan", "", *(";".join(row) for row in (table.columns, units, *numbers))]
+
+
+def test_the_format_of_a_logger_is_recognised_and_said(tmp_path: Path) -> None:
+    """cp1252, semicolons, decimal commas, thousands, text above the header, units below it: nothing is stated."""
+    runs = wide_runs(tmp_path)
+    for run in runs:
+        path = Path(run["file"])
+        path.write_bytes("\r\n".join([*write_as_a_logger(pd.read_csv(path)), ""]).encode("cp1252"))
+    check_read(read(table_config(runs)))
+    assert (
+        "one.csv' is read as: cp1252, ';' between fields, decimal commas, the header in line 3, units below it, left "
+        "out (1) (machine.recordings.csv states another)"
+    ) in notes(table_config(runs))
+    path.write_bytes(path.read_bytes().replace(b"500,0;", b"5oo,0;", 1))
+    with refused("row 5 has '5oo,0'"):
+        read(table_config(runs))
+
+
+def test_a_workbook_with_a_sheet_a_run(tmp_path: Path) -> None:
+    runs = [run | {"file": str(tmp_path / "all.xlsx"), "sheet": f"run {run['name']}"} for run in wide_runs(tmp_path)]
+    with pd.ExcelWriter(tmp_path / "all.xlsx") as book:
+        for run in runs:
+            pd.read_csv(tmp_path / f"{run['name']}.csv").to_excel(
+                book, sheet_name=run["sheet"], index=False, startrow=2
+            )
+    check_read(read(table_config(runs)))
+    with refused("must have the sheet 'run onee': did you mean 'run one'?"):
+        read(table_config([runs[0] | {"sheet": "run onee"}]))
+
+
+@pytest.mark.parametrize(
+    ("cells", "decimal", "value"),
+    [("1,234;5,5", None, 1.234), ("1,234;5.5", None, 1234), ("1.234;5,5", None, 1234), ("1,234;7", ".", 1234)],
+)
+def test_a_mark_that_parts_thousands(cells: str, decimal: str | None, value: float, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"a;b\n{cells}\n")
+    assert read_table(tmp_path / "t.csv", {"a": "number"}, text=CsvConfig(decimal=decimal))["a"].tolist() == [value]
+    (tmp_path / "t.csv").write_text("a;b\n1,234;7\n")
+    with refused("must show what its commas mean, but '1,234' may have a decimal comma or parted thousands"):
+        read_table(tmp_path / "t.csv", {"a": "number"})
+
+
 def test_other_columns_in_one_run(tmp_path: Path) -> None:
     runs = wide_runs(tmp_path)
     path = Path(runs[1]["file"])
@@ -119,8 +167,8 @@ def put(column: str, value: object, row: int = 3) -> Damage:
 
 
 BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
-    "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 4"),
-    "infinite": (put("B ph", np.inf), "must have finite numbers in the column 'B ph'", "row 4"),
+    "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 5"),
+    "infinite": (put("B ph", np.inf), "must have finite numbers in the column 'B ph'", "row 5"),
     "text": (put("speed", "fast"), "must have finite numbers in the column 'speed'", "'fast'"),
     "negative amplitude": (put("A amp", -2.0), "must have amplitudes of zero or more", "'A amp'"),
     "no speed": (put("speed", 0.0), "must have speeds above zero", "0 rpm"),
@@ -137,7 +185,7 @@ BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
         "twice",
     ),
     "no rows": (lambda t: t.iloc[:0], "must have at least one row", ""),
-    "another delimiter": (lambda t: t.to_csv(index=False, sep=";"), "must have the column 'speed'", "speed;A amp"),
+    "another delimiter": (lambda t: t.to_csv(index=False, sep=":"), "must have the column 'speed'", "speed:A amp"),
     "decimal commas": (
         lambda t: t.to_csv(index=False).replace(".", ","),
         "must be a CSV table",
@@ -330,7 +378,7 @@ def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
     frame.assign(a=pd.Timestamp("2026-05-01")).to_excel(tmp_path / "date.xlsx", index=False)
     frame.assign(a=True).to_excel(tmp_path / "true.xlsx", index=False)
     for name in ("date", "true"):
-        with refused("must have finite numbers in the column 'a', but row 1 has"):
+        with refused("must have finite numbers in the column 'a', but row 2 has"):
             read_table(tmp_path / f"{name}.xlsx", kinds)
 
 

@@ -35,8 +35,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def study() -> Any:
-    """Modules of studies/coverage, which is no package."""
-    sys.path.insert(0, str(ROOT / "studies" / "coverage"))
+    """Modules of studies/ordinary, which is no package."""
+    sys.path.insert(0, str(ROOT / "studies" / "ordinary"))
     try:
         yield {name: importlib.import_module(name) for name in ("draw", "ordinary")}
     finally:

@@ -1,6 +1,6 @@
 """Do the 95 % bands hold on ordinary machines, by the path that users take? Machines of draw.py, identified from files.
 
-    python studies/coverage/ordinary.py output=FOLDER [seeds=0-11] [workers=2] [cases=NAME,...]
+    python studies/ordinary/ordinary.py output=FOLDER [seeds=0-11] [workers=2] [cases=NAME,...]
 
 Each machine is written as its user has it: a machine file that states rotor and runs, and two tables of vibration and
 excitation. `stage=[train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong reaches it.
@@ -11,7 +11,7 @@ What is counted, pointwise over the speed: *within* is the share of speeds at wh
 exported 95 % band; a machine's figure is the mean over its sixteen coefficients. *Half width* and *error* are those of
 direct coefficients whose half width is below 100 % (what data decide), medians in percent of the real value, or of
 a twentieth of the direct coefficients where it is less. A "good" coefficient is *wrong* where its median error exceeds
-20 % or the median band.
+20 % or the median band. *Usable* is not called "no".
 """
 
 from __future__ import annotations
@@ -149,6 +149,8 @@ def summarize(machines: Sequence[Mapping[str, Any]]) -> dict[str, float]:
         "refused": len(machines) - len(answered),
         "within_percent": float(np.mean(within)) if within else 0.0,
         "lowest_machine_percent": float(np.min(within)) if within else 0.0,
+        "usable": len(usable),
+        "usable_below_85_percent": sum(row["within_percent"] < 85 for row in usable),
         "lowest_usable_percent": float(np.min([row["within_percent"] for row in usable])) if usable else 100.0,
         "half_width_percent": median("half_width_percent"),
         "error_percent": median("error_percent"),
@@ -169,7 +171,7 @@ def main(arguments: list[str]) -> None:
     tasks = [(case, seed) for case in cases for seed in seeds]
     # Processes: configurations are composed one at a time in each.
     with ProcessPoolExecutor(int(given.get("workers", "2"))) as pool:
-        folders = [folder / f"{case}-{seed}" for case, seed in tasks]
+        folders = [folder / "machines" / f"{case}-{seed}" for case, seed in tasks]
         judged = pool.map(run_case, folders, [seed for _, seed in tasks], [case for case, _ in tasks])
         results: dict[str, list[dict[str, Any]]] = {}
         for (case, seed), machine in zip(tasks, judged, strict=True):
