@@ -274,7 +274,9 @@ def test_a_limit_stands_near_what_is_measured(experiment: str, artifacts: Artifa
     for rule in read_rules(check.THRESHOLDS / f"{experiment}.yaml"):
         values = [one.value for one in check_experiment(experiment, [rule], artifacts(experiment, rule.file), {})]
         measured = [value for value in values if value is not None]
-        if rule.why.startswith("rounding"):
+        if rule.max == 0:
+            assert max(measured) == 0
+        elif rule.why.startswith("rounding"):
             assert rule.max == 1e-10
         elif not rule.why.startswith("a probability"):
             ratio = rule.max / max(measured) if rule.max is not None else min(measured) / (rule.min or np.nan)
