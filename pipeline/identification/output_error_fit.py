@@ -124,17 +124,14 @@ def fit_from(
     if start.by_evidence:
         problem = with_sigma(problem)
     factor, shares = np.ones(len(start.measurement.dataset.channels)), _count_fully(problem)
-    history: list[dict[str, float | str]] = []
-    steps, seconds = 0, 0.0
+    minimum: Minimum | None = None
     near = near or start.searched is not None
     approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
     selects = not problem.law.laws and not start.by_evidence and start.searched is None
     for turn in range(-len(approach), rounds):
         less = problem.scaled(approach[turn]) if turn < 0 else problem
-        minimum = minimise(less, weights, setup, progress=progress)
-        weights = minimum.parameters
-        history += [dict(row) | {"step": steps + int(row["step"])} for row in minimum.history]
-        steps, seconds = steps + minimum.steps, seconds + minimum.seconds
+        last = minimise(less, weights, setup, progress=progress)
+        minimum, weights = last.after(minimum) if minimum else last, last.parameters
         if minimum.outcomes[0] is Outcome.INTERRUPTED:
             shares = _count_fully(problem)
             break
@@ -156,8 +153,8 @@ def fit_from(
             problem = problem.with_prior(setup.loss.beyond_trend)
         if turn > choice and _change(problem, before) < settled:
             break
-    whole = replace(minimum, history=tuple(history), steps=steps, seconds=seconds)
-    return OutputErrorFit(start=start, problem=problem, minimum=whole, shares=shares, factor=factor)
+    assert minimum is not None, "there are rounds"
+    return OutputErrorFit(start=start, problem=problem, minimum=minimum, shares=shares, factor=factor)
 
 
 _LESS_EXACT = (0.03, 0.1, 0.3)

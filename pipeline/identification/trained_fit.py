@@ -17,8 +17,7 @@ features of the mean, N balance planes, T model parameters, Y = M Q + 2 N + T nu
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,14 +31,12 @@ from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
 from pipeline.identification.trained_network import TrainedNetworks
-from pipeline.identification.training import FitSetup, Outcome, Progress, initial_guess
+from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, initial_guess, minimise
 
 if TYPE_CHECKING:
     import torch
 
 FEWEST_SPEEDS = 4
-_TOLERANCE, _PATIENCE = 1e-3, 5
-"""Training ends when no network's loss on its other half fell by this share in so many steps."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,8 +66,17 @@ class TrainedFit(OutputErrorFit):
         return noise_alone(self.problem, inflation * self.scatter)
 
 
-def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None = None) -> TrainedFit:
+def train_hidden(
+    fit: OutputErrorFit,
+    setup: FitSetup,
+    progress: Progress | None = None,
+    *,
+    still: float = 1e-3,
+    patience: int = 5,
+) -> TrainedFit:
     """Train all layers, from the fit with hidden layers as drawn, whose precisions of the readings are kept.
+
+    It ends where no network's loss on its other half fell by the share ``still`` in ``patience`` steps.
 
     Raises ConfigError for a model without hidden layers, and for fewer than four speeds.
     """
@@ -81,68 +87,28 @@ def train_hidden(fit: OutputErrorFit, setup: FitSetup, progress: Progress | None
             f"loss.hidden=trained must have a model with hidden layers, but got model.kind={setup.model.kind}: choose "
             "model=network_fluid_film model.width=8, or loss.hidden=drawn"
         )
-    began, problem, count = time.perf_counter(), fit.problem, setup.loss.networks
+    problem, count = fit.problem, setup.loss.networks
     speeds = problem.measurement.dataset.speeds
     if len(speeds) < FEWEST_SPEEDS:
         raise ConfigError(
             f"loss.hidden=trained must have {FEWEST_SPEEDS} training speeds or more, which it halves, but got "
             f"{len(speeds)}: choose loss.hidden=drawn"
         )
-    generator, section = torch.Generator().manual_seed(setup.seed), setup.optimizer.levenberg_marquardt
+    generator = torch.Generator().manual_seed(setup.seed)
     halves = _halves(count, len(speeds), generator)
     half, other = (problem.scaled(share.sqrt()[:, :, None, None]) for share in (halves, (2 - halves) * (halves != 1)))
     signs = torch.randn(count // 2, problem.places.n_parameters, generator=generator, dtype=torch.float64)
     aims = torch.stack([signs, -signs], dim=1).flatten(0, 1)
     every = fit.weights.repeat(count, 1, 1)
-    linear = levenberg_marquardt(half, every, section, until_still())
+    linear = levenberg_marquardt(half, every, setup.optimizer.levenberg_marquardt, until_still())
     inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
     start = _start(problem, linear, inputs, setup, generator)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
     training, judging = (
         weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=inputs[:0]) for weighed in (half, other)
     )
-    watch = _Judge(judging=judging, total=section.steps, progress=progress, best=start, score=judging.loss(start))
-    interrupted = False
-    try:
-        levenberg_marquardt(training, start, section, watch)
-    except KeyboardInterrupt:
-        interrupted = True
-    return _mean(fit, training, watch, interrupted, began)
-
-
-@dataclass(kw_only=True)
-class _Judge:
-    """Sees every step: keeps the state of each network that predicts its other half best, and ends all together."""
-
-    judging: TrainedNetworks
-    total: int
-    progress: Progress | None
-    best: torch.Tensor  # (G, 1, Y)
-    score: torch.Tensor  # (G, 1)
-    stale: int = 0
-    history: list[dict[str, float | str]] = field(default_factory=list)
-
-    def __call__(self, numbers: torch.Tensor, losses: torch.Tensor) -> torch.Tensor:
-        import torch
-
-        score = self.judging.loss(numbers)
-        self.stale = 0 if bool((score < (1 - _TOLERANCE) * self.score).any()) else self.stale + 1
-        better = score < self.score
-        self.best = torch.where(better[..., None], numbers, self.best)
-        self.score = torch.where(better, score, self.score)
-        loss, held_out = (float(squares.square().mean().sqrt()) for squares in (losses, score))
-        self.history.append({"step": len(self.history), "phase": "trained", "loss": loss, "held_out_loss": held_out})
-        if self.progress is not None:
-            self.progress("trained", len(self.history), self.total, loss)
-        return torch.full_like(better, self.stale >= _PATIENCE)
-
-    def outcome(self, interrupted: bool) -> Outcome:
-        """How the training ended."""
-        if interrupted:
-            return Outcome.INTERRUPTED
-        if not bool(self.score.isfinite().all()):
-            return Outcome.DIVERGED
-        return Outcome.CONVERGED if self.stale >= _PATIENCE else Outcome.BUDGET_SPENT
+    ending = setup.ending(patience, still)
+    return _mean(fit, training, minimise(training, start, ending, held_out=judging, progress=progress, together=True))
 
 
 def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tensor:
@@ -176,11 +142,12 @@ def _start(
 # --- the mean of the networks ----------------------------------------------------------------------------
 
 
-def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interrupted: bool, began: float) -> TrainedFit:
+def _mean(fit: OutputErrorFit, training: TrainedNetworks, minimum: Minimum) -> TrainedFit:
     """The mean of the networks at the minimum, and their scatter about it."""
     import torch
 
-    numbers, before, start = watch.best, fit.problem, fit.start
+    numbers, before, start = minimum.parameters, fit.problem, fit.start
+    score = torch.as_tensor(minimum.held_out_loss)[:, None]
     speeds = before.measurement.dataset.speeds
     alone = before.basis.model.inputs == (SPEED,)
     over = torch.linspace(-1, 1, _POINTS, dtype=numbers.dtype)[:, None] if alone else training.inputs
@@ -188,7 +155,7 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     weights = torch.stack([coordinates[:, m, :, u] for m, u in before.active], dim=1).flatten(1)
     each = torch.cat([weights, numbers[:, 0, training.places.n_coefficients :]], dim=-1)  # (G, Z)
     # A half is fitted too well by as much as the other, which lacks the two ends, is predicted too badly.
-    fitted_square, predicted = training.loss(numbers).square(), watch.score.square() * len(speeds) / (len(speeds) - 2)
+    fitted_square, predicted = training.loss(numbers).square(), score.square() * len(speeds) / (len(speeds) - 2)
     spent = min(
         max(float((predicted - fitted_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1])
     )
@@ -207,22 +174,16 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, watch: _Judge, interru
     problem, answer = make_mean(before), each.mean(dim=0)
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.
     if float(problem.loss(answer[None, None]).square()) > float(((fitted_square + predicted) / 2).min()):
-        answer = each[int(watch.score[:, 0].argmin())]
+        answer = each[int(score.argmin())]
     off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
     held_out = {name: make_mean(other) for name, other in start.held_out.items()}
-    steps = fit.minimum.steps
-    history = (*fit.minimum.history, *(row | {"step": steps + i} for i, row in enumerate(watch.history)))
+    # The first row is the start, where the fit before ended.
+    trained = replace(minimum, history=minimum.history[1:], steps=minimum.steps - 1).after(fit.minimum)
+    outcome = Outcome.DIVERGED if Outcome.DIVERGED in minimum.outcomes else minimum.outcomes[0]
     return TrainedFit(
         start=replace(start, held_out=held_out),
         problem=problem,
-        minimum=replace(
-            fit.minimum,
-            parameters=answer[None, None],
-            outcomes=(watch.outcome(interrupted),),
-            steps=steps + len(watch.history),
-            seconds=fit.minimum.seconds + time.perf_counter() - began,
-            history=history,
-        ),
+        minimum=replace(trained, parameters=answer[None, None], outcomes=(outcome,)),
         shares=fit.shares,
         factor=fit.factor,
         scatter=off.T @ off / len(each),

@@ -54,26 +54,17 @@ def train_from_nodes(
         known=_hold(start, n_of_networks, hold),
         nodes=_spread(spline.n_functions),
     )
-    last = setup.optimizer.levenberg_marquardt.model_copy(update={"patience": patience})
-    patient = replace(
-        setup,
-        optimizer=setup.optimizer.model_copy(update={"levenberg_marquardt": last}),
-        training=setup.training.model_copy(update={"tolerance": still}),
-    )
-    minimum = minimise(training, start[None, None], patient, progress=progress)
+    minimum = minimise(training, start[None, None], setup.ending(patience, still), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
     weights = fit.weights.clone()
     weights[..., : problem.places.n_coefficients] = 0.0  # deviations from the networks
     weights[..., problem.places.n_coefficients :] = minimum.parameters[..., n_of_networks:]
     functions = Prior(problem.functions.rows, -training.deviate(minimum.parameters)[0])
-    steps = fit.minimum.steps
-    history = (*fit.minimum.history, *(dict(row) | {"step": steps + int(row["step"])} for row in minimum.history))
-    whole = replace(minimum, parameters=weights, history=history, steps=steps + minimum.steps)
     return replace(
         fit,
         start=replace(fit.start, held_out={name: _pose(other, basis) for name, other in fit.start.held_out.items()}),
         problem=replace(_pose(problem, basis), functions=functions).update(weights),
-        minimum=replace(whole, seconds=fit.minimum.seconds + minimum.seconds),
+        minimum=replace(minimum.after(fit.minimum), parameters=weights),
     )
 
 

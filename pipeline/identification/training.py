@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +74,15 @@ class FitSetup:
         """Whether the coefficients are the same at every speed."""
         return not self.model.varies
 
+    def ending(self, patience: int, tolerance: float) -> FitSetup:
+        """The same where Levenberg-Marquardt ends once so many steps lower the loss by less than this share."""
+        section = self.optimizer.levenberg_marquardt.model_copy(update={"patience": patience})
+        return replace(
+            self,
+            optimizer=self.optimizer.model_copy(update={"levenberg_marquardt": section}),
+            training=self.training.model_copy(update={"tolerance": tolerance}),
+        )
+
 
 def setup_of(config: Config) -> FitSetup:
     """The sections of a configuration that a fit reads."""
@@ -115,6 +124,12 @@ class Minimum:
     history: tuple[Mapping[str, float | str], ...]
     trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
 
+    def after(self, before: Minimum) -> Minimum:
+        """The same with the history, steps and time of the training ``before`` it."""
+        rows = tuple(dict(row) | {"step": before.steps + i} for i, row in enumerate(self.history))
+        steps, seconds = before.steps + self.steps, before.seconds + self.seconds
+        return replace(self, history=(*before.history, *rows), steps=steps, seconds=seconds)
+
 
 @dataclass(kw_only=True)
 class _Monitor:
@@ -126,6 +141,7 @@ class _Monitor:
     progress: Progress | None
     record_trajectory: bool
     watch: Watch | None
+    together: bool = False  # all trainings end where no score falls any more, not each by its loss
     phase: str = ""
     total: int = 0
     patience: int = 1
@@ -153,7 +169,8 @@ class _Monitor:
         score = losses if self.held_out is None else self.held_out.loss(parameters).detach()
         if not self.step:
             self.best, self.best_score, self.first_loss = parameters.clone(), score.clone(), losses.clone()
-        better = (score < self.best_score) | self.best_score.isnan()
+        before = self.best_score
+        better = (score < before) | before.isnan()
         self.best = torch.where(better[..., None], parameters, self.best)
         self.best_score = torch.where(better, score, self.best_score)
         known = torch.maximum(losses, self.rounding)  # NaN stays
@@ -163,6 +180,8 @@ class _Monitor:
         second_order = self.phase == "levenberg_marquardt"
         tolerance = max(self.config.tolerance, self.problem.scatter() if second_order else 0.0)
         improved = known < self.reference * (1 - tolerance)
+        if self.together:
+            improved = (score < before * (1 - tolerance)).any().expand_as(score)
         self.reference = torch.where(improved, known, self.reference)
         self.stale = torch.where(improved, torch.zeros_like(self.stale), self.stale + 1)
         self._record(parameters, losses, score)
@@ -184,10 +203,6 @@ class _Monitor:
         if self.watch is not None:
             self.watch(self.phase, self.step - self.phase_start + 1, self.total, self.best)
 
-    def converged(self) -> np.ndarray:
-        """(G,) all members of a training without improvement for ``patience`` steps."""
-        return np.asarray((self.stale >= self.patience).all(dim=1).numpy())
-
 
 _MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
     "adam": optimizers.adam,
@@ -205,8 +220,12 @@ def minimise(
     progress: Progress | None = None,
     record_trajectory: bool = False,
     watch: Watch | None = None,
+    together: bool = False,
 ) -> Minimum:
-    """Train G starting points (G, M, Q) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that."""
+    """Train G starting points (G, M, Q) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that.
+
+    ``together``: by Levenberg-Marquardt steps alone, until none of the trainings predicts better what it holds out.
+    """
     monitor = _Monitor(
         problem=problem,
         held_out=held_out,
@@ -214,14 +233,15 @@ def minimise(
         progress=progress,
         record_trajectory=record_trajectory,
         watch=watch,
+        together=together,
     )
     interrupted = False
     monitor.begin("start", 1, 1)
     monitor(parameters, problem.loss(parameters))
     try:
-        for name in phases(setup.optimizer):
+        for name in ("levenberg_marquardt",) if together else phases(setup.optimizer):
             section = getattr(setup.optimizer, name)
-            monitor.begin(name, section.steps, section.patience)
+            monitor.begin("trained" if together else name, section.steps, section.patience)
             parameters = _MINIMISERS[name](problem, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
@@ -248,7 +268,7 @@ def _outcomes(monitor: _Monitor, interrupted: bool, diverged_factor: float = 10.
     if interrupted:
         return (Outcome.INTERRUPTED,) * len(losses)
     diverged = (~losses.isfinite() | (losses > diverged_factor * monitor.first_loss)).any(dim=1).numpy()
-    converged = monitor.converged()
+    converged = (monitor.stale >= monitor.patience).all(dim=1).numpy()  # all members
     return tuple(
         Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT
         for d, c in zip(diverged, converged, strict=True)
