@@ -1,4 +1,4 @@
-"""From a measurement to its coefficients: the one door of identification, and the losses behind one protocol.
+"""From a measurement to its coefficients: the one door of identification, and the losses behind it.
 
 Nothing else asks which loss a configuration names. ``residual``: the residual of the equation of motion (paper, eq. 6).
 ``preconditioned``: the same, multiplied at each speed by the pseudo-inverse of its derivative by the unknowns.
@@ -7,7 +7,7 @@ Nothing else asks which loss a configuration names. ``residual``: the residual o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -87,40 +87,13 @@ def default_setup(guess: Guess, constant: bool = False, noise: str = "stated") -
 # --- losses ----------------------------------------------------------------------------------------------
 
 
-class Loss(Protocol):
-    """What a fit minimises, and what follows from that."""
-
-    @property
-    def label(self) -> str:
-        """The axis of a figure of the loss, with its unit."""
-        ...
-
-    @property
-    def weighs_noise(self) -> bool:
-        """Whether readings are weighed by their noise, so that deviations are stated and any sensors will do."""
-        ...
-
-    def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
-        """What the measurement determines, before the fit. Raises DataError for sensors that do not suffice."""
-        ...
-
-    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """The coefficients before the fit, with the deviations that the stated noise will leave to it."""
-        ...
-
-    def fit(
-        self,
-        measurement: Measurement,
-        setup: FitSetup,
-        progress: Progress | None = None,
-        diagnosis: Diagnosis | None = None,
-    ) -> Fit:
-        """The fit; a ``diagnosis`` at hand is not made again. Raises as :func:`pipeline.identification.fit.fit`."""
-        ...
-
-
 class ResidualLoss:
-    """The residual at the bearings, preconditioned or not: it asks for x and y at every bearing."""
+    """The residual at the bearings, preconditioned or not: it asks for x and y at every bearing.
+
+    Attributes:
+        label: the axis of a figure of the loss, with its unit.
+        weighs_noise: whether readings are weighed by their noise: then deviations are stated and any sensors will do.
+    """
 
     weighs_noise = False
 
@@ -129,12 +102,15 @@ class ResidualLoss:
         self.label = "root mean square residual (N)" if unscaled else _LABELS[config.kind]
 
     def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
-        """By least squares at each speed."""
+        """What the measurement determines before the fit, by least squares at each speed.
+
+        Raises DataError for sensors that do not suffice.
+        """
         return diagnose_residual(measurement, setup.constant)
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """The deviations of least squares at each speed by itself: the residual weighs no noise, so it promises no
-        more. A constant takes the weighted mean of its speeds.
+        """The coefficients before the fit, with the deviations of least squares at each speed by itself: the residual
+        weighs no noise, so it promises no more. A constant takes the weighted mean of its speeds.
         """
         if not setup.constant:
             return diagnosis.deviations
@@ -150,7 +126,7 @@ class ResidualLoss:
         progress: Progress | None = None,
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
-        """Training, from a guess or from least squares."""
+        """Training, from a guess or from least squares. Raises as :func:`fit`."""
         from pipeline.identification.quality import residual_quality
         from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 
@@ -178,7 +154,9 @@ class OutputErrorLoss:
     label = "root mean square deviation of the readings\nover their noise (-)"
 
     def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
-        """By least squares of the forces at the bearings, or by the model's own features where sensors are few."""
+        """As :meth:`ResidualLoss.diagnose`, by least squares of the forces at the bearings, or by the model's own
+        features where sensors are few.
+        """
 
         def features(data: Measurement) -> np.ndarray:
             from pipeline.identification.output_error_start import drawn_basis
@@ -216,7 +194,7 @@ class OutputErrorLoss:
         progress: Progress | None = None,
         diagnosis: Diagnosis | None = None,
     ) -> Fit:
-        """The fit by its rounds of precisions."""
+        """The fit by its rounds of precisions; a ``diagnosis`` at hand is not made again. Raises as :func:`fit`."""
         from pipeline.identification.answer import conclude
 
         measurement = for_model(measurement, setup)
@@ -245,6 +223,10 @@ _LABELS = {
     "residual": "root mean square residual\nover bearing force (-)",
     "preconditioned": "root mean square distance of the unknowns\nover their scale (-)",
 }
+
+
+Loss = ResidualLoss | OutputErrorLoss
+"""What a fit minimises, and what follows from that."""
 
 
 def loss_of(config: LossConfig) -> Loss:

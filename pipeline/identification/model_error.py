@@ -32,7 +32,7 @@ from pipeline.identification.inputs import SPEED, evaluate_functions
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.problem import OutputError
 from pipeline.identification.readings import sensor_model
-from pipeline.identification.selection import LAW_STANDS, chance_of_gain
+from pipeline.identification.selection import Evidence
 from pipeline.problem.model_parameters import USUAL
 
 if TYPE_CHECKING:
@@ -90,9 +90,13 @@ def measure_error(problem: OutputError, weights: torch.Tensor) -> MeanSquareErro
     by_fit = covariance @ matrix[np.ix_(~local, local)]  # (Z, A L): how the fitted weights follow the local ones
     information = matrix[np.ix_(local, local)] - matrix[np.ix_(local, ~local)] @ by_fit
     score = -(gradient[local] - by_fit.T @ gradient[~local])
-    variance, moment = _maximise_likelihood(information, score, n_active)
-    if problem.law.laws and _is_chance(information, score, variance):
+    # tau is a deviation of outputs, the logarithm of a coefficient or its share of the coefficient's size.
+    evidence = Evidence(information, score, np.ones((n_active, count)), np.eye(n_active), np.full(n_active, 0.03))
+    tau = evidence.maximise(rounds=100, still=5e-3, smallest=1e-6)
+    if problem.law.laws and evidence.is_chance(tau, n_active):  # a right law's; curves never are quite right
         return noise_alone(problem, covariance)
+    mean, spread = evidence.posterior(tau)
+    moment = spread + np.outer(mean, mean)
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment
@@ -124,49 +128,6 @@ def _expand(
     is_local = np.arange(n_features + count) >= n_features
     local = np.concatenate([np.tile(is_local, n_active), np.zeros(problem.places.n_rest, dtype=bool)])
     return gradient[0, 0].numpy(), matrix[0, 0].numpy(), local
-
-
-def _maximise_likelihood(
-    information: np.ndarray,
-    score: np.ndarray,
-    n_active: int,
-    first: float = 0.03**2,
-    rounds: int = 100,
-    still: float = 1e-2,
-    smallest: float = 1e-12,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(A,) tau^2 and (A L, A L) mean square of the local weights after the data, from their ``information`` (A L, A L)
-    and ``score`` (A L,) at zero.
-
-    tau is a deviation of outputs, the logarithm of a coefficient or its share of the coefficient's size.
-    """
-    count, variance = len(score) // n_active, np.full(n_active, first)
-    for _ in range(rounds):
-        spread, mean = _follow(information, score, variance)
-        # How many of an unknown's local weights the readings determine.
-        told = count - np.diag(spread).reshape(n_active, count).sum(axis=1) / variance
-        squares = (mean**2).reshape(n_active, count).sum(axis=1)
-        before, variance = variance, np.maximum(squares / np.maximum(told, smallest), smallest)
-        if (np.abs(np.log(variance / before)) < still).all():
-            break
-    spread, mean = _follow(information, score, variance)
-    return variance, spread + np.outer(mean, mean)
-
-
-def _is_chance(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> bool:
-    """Whether a right law shows local functions of the ``variance`` (A,) as likely; curves never are quite right."""
-    every_variance = np.repeat(variance, len(score) // len(variance))
-    size = np.sqrt(every_variance)
-    scaled = np.eye(len(score)) + size[:, None] * information * size  # of determinant |T| |T^-1 + S|
-    scaled_score = size * score
-    gain = scaled_score @ np.linalg.solve(scaled, scaled_score) - np.linalg.slogdet(scaled)[1]
-    return chance_of_gain(gain, len(variance)) > LAW_STANDS
-
-
-def _follow(information: np.ndarray, score: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance (A L, A L) and mean (A L,) of the local weights after the data, for tau^2 (A,)."""
-    spread = np.linalg.inv(information + np.diag(np.repeat(1 / variance, len(score) // len(variance))))
-    return spread, spread @ score
 
 
 # --- tolerances ------------------------------------------------------------------------------------------

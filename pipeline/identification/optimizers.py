@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 class LeastSquares(Protocol):
-    """What is minimised: the squares of rows of parameters (G, M, Q)."""
+    """What is minimised: the squares of rows of parameters (G, M, Q).
+
+    By default that of one member, whose rows know their noise and are not rounded.
+    """
 
     def rows(self, parameters: torch.Tensor, /) -> torch.Tensor:
         """(G, M, rows)."""
@@ -34,15 +37,17 @@ class LeastSquares(Protocol):
 
     def rounding(self) -> torch.Tensor:
         """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
-        ...
+        import torch
+
+        return torch.zeros(1, dtype=torch.float64)
 
     def scatter(self) -> float:
         """Share of the loss below which a fall is lost in the scatter of the data; 0 where weights know their noise."""
-        ...
+        return 0.0
 
     def members(self) -> tuple[LeastSquares, ...]:
-        """M problems, each of one member by itself."""
-        ...
+        """M problems, each of one member by itself: bearings that speak through the same sensors are one."""
+        return (self,)
 
 
 Monitor = Callable[["torch.Tensor", "torch.Tensor"], "torch.Tensor"]

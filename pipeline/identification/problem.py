@@ -33,6 +33,7 @@ import numpy as np
 
 from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term, no_prior
 from pipeline.identification.model import CoefficientModel
+from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
 from pipeline.problem.measurement import Measurement
 
@@ -43,7 +44,7 @@ Kind = TypeVar("Kind", bound="OutputError")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OutputError:
+class OutputError(LeastSquares):
     """Least squares of the weights z, (G, 1, Z), at the speeds and runs of a measurement."""
 
     sensors: SensorModel
@@ -235,14 +236,6 @@ class OutputError:
         pairs = zip(self.readings.measured, self.readings.precision, strict=True)
         squared = [(measured * weight).abs().square().sum((1, 2, 3)).max() for measured, weight in pairs]
         return precision * (torch.stack(squared).sum() / self.readings.size).sqrt()[None]
-
-    def scatter(self) -> float:
-        """None: the readings are weighed by their noise."""
-        return 0.0
-
-    def members(self) -> tuple[OutputError, ...]:
-        """What is minimised by itself: all bearings together, since they speak through the same sensors."""
-        return (self,)
 
     def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient J'r (G, 1, Z) and J'J (G, 1, Z, Z).

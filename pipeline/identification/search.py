@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.blocks import Prior
-from pipeline.identification.optimizers import levenberg_marquardt, until_still
+from pipeline.identification.optimizers import LeastSquares, levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.impedance import list_places
 from pipeline.laws.population import FamilyPrior, make_priors
@@ -103,7 +103,7 @@ def _axes(prior: FamilyPrior, negligible: float) -> torch.Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Whitened:
+class Whitened(LeastSquares):
     """A problem in numbers (G, 1, Y') of unit variance before the data: those of the choices, and all other weights."""
 
     problem: OutputError  # without a prior of functions
@@ -144,18 +144,6 @@ class Whitened:
     def loss(self, y: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""
         return (self.rows(y).square().sum(-1) / self.problem.readings.size).sqrt()
-
-    def rounding(self) -> torch.Tensor:
-        """As the problem's."""
-        return self.problem.rounding()
-
-    def scatter(self) -> float:
-        """None: readings are weighed by their noise."""
-        return 0.0
-
-    def members(self) -> tuple[Whitened, ...]:
-        """All bearings together."""
-        return (self,)
 
     def minimise(self, y: torch.Tensor, still: float, steps: int = 25) -> torch.Tensor:
         """Where all choices end, once no step lowers a loss by the share ``still``."""

@@ -180,22 +180,23 @@ def weigh_by_evidence(problem: OutputError, weights: torch.Tensor) -> tuple[Outp
     import torch
 
     evidence = _expand(problem, weights)
-    sigma = _likeliest_sigma(evidence)
-    n_bearings = len({m for m, _ in problem.active})
-    if problem.basis.model.fades and chance_of_gain(2 * _gain(evidence, sigma), n_bearings) > LAW_STANDS:
-        kept = torch.zeros_like(problem.kept)
-        left = replace(problem, kept=kept)
+    sigma = evidence.maximise()
+    if problem.basis.model.fades and evidence.is_chance(sigma, len({m for m, _ in problem.active})):
+        left = replace(problem, kept=torch.zeros_like(problem.kept))
         return left, torch.where(left.fitted(), weights, torch.zeros_like(weights))
     return with_sigma(problem, sigma), weights
 
 
-class _Evidence(NamedTuple):
-    """The readings' likelihood, quadratic in the weights: ``right' z - z' data z / 2``, other priors included."""
+class Evidence(NamedTuple):
+    """A likelihood that is quadratic in the weights: ``right' z - z' data z / 2``, other priors included.
+
+    The first A K weights are normal about zero, with precisions ``unit / sigma^2``; sigma is to be found.
+    """
 
     data: np.ndarray  # (Z, Z)
     right: np.ndarray  # (Z,)
-    unit: np.ndarray  # (A, K) precisions of the correction's weights for a sigma of one
-    alike: np.ndarray  # (A, A) one for unknowns of the same bearing: these have the same sigma
+    unit: np.ndarray  # (A, K) precisions for a sigma of one
+    alike: np.ndarray  # (A, A) one for unknowns that have the same sigma, such as those of a bearing
     sigma: np.ndarray  # (A,) at hand
 
     def posterior(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,12 +207,48 @@ class _Evidence(NamedTuple):
         return spread @ self.right, spread
 
     def precision(self, sigma: np.ndarray) -> np.ndarray:
-        """(Z,) of the correction's weights; zero for the others."""
+        """(Z,) of the weights; zero for those behind the first."""
         return np.pad((self.unit / sigma[:, None] ** 2).ravel(), (0, len(self.right) - self.unit.size))
 
+    def maximise(
+        self, rounds: int = 60, still: float = 1e-2, smallest: float = 1e-4, tiny: float = 1e-12
+    ) -> np.ndarray:
+        """(A,) sigma of the greatest likelihood, by MacKay's fixed point, until it changes by the share ``still``.
 
-def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
-    """The likelihood about the minimum ``weights`` (1, 1, Z)."""
+        A correction of a hundredth of a percent, the ``smallest``, is none.
+        """
+        sigma, unit = self.sigma, self.unit
+        for _ in range(rounds):
+            mean, spread = self.posterior(sigma)
+            # How many of an unknown's weights the readings determine.
+            told = (1.0 - (self.precision(sigma) * np.diag(spread))[: unit.size]) * (unit.ravel() > 0)
+            squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
+            told = told.reshape(unit.shape).sum(axis=1)
+            likelier = np.sqrt(self.alike @ squares / np.maximum(self.alike @ told, tiny))
+            before, sigma = sigma, np.maximum(likelier, smallest)
+            if (np.abs(np.log(sigma / before)) < still).all():
+                break
+        return sigma
+
+    def is_chance(self, sigma: np.ndarray, count: int) -> bool:
+        """Whether weights of no size show this ``sigma`` (A,) as likely, where ``count`` variances are free."""
+        return chance_of_gain(2 * self._gain(sigma), count) > LAW_STANDS
+
+    def _gain(self, sigma: np.ndarray) -> float:
+        """How much the logarithm of the likelihood, over all weights, rises from a sigma of zero to this one."""
+        size, precision = self.unit.size, self.precision(sigma)
+        whole, rest = self.data + np.diag(precision), self.data[size:, size:]
+        both = 0.0
+        for sign, matrix, right in ((1.0, whole, self.right), (-1.0, rest, self.right[size:])):
+            scale = 1 / np.sqrt(np.diag(matrix))
+            scaled = matrix * scale[:, None] * scale
+            quadratic = (right * scale) @ np.linalg.solve(scaled, right * scale)
+            both += sign * 0.5 * (quadratic - np.linalg.slogdet(scaled)[1] + 2 * np.log(scale).sum())
+        return float(both + 0.5 * np.log(precision[:size]).sum())
+
+
+def _expand(problem: OutputError, weights: torch.Tensor) -> Evidence:
+    """The likelihood of a correction's weights about the minimum ``weights`` (1, 1, Z)."""
     unit, outer = unit_precision(problem).numpy(), problem.places.n_coefficients
     gradient, matrix = (array[0, 0].numpy() for array in problem.normal(weights))
     precision = (problem.precision * problem.kept).flatten().numpy()
@@ -220,39 +257,7 @@ def _expand(problem: OutputError, weights: torch.Tensor) -> _Evidence:
     data = matrix - np.diag(np.pad(precision, (0, len(matrix) - outer)))
     bearing = np.array([m for m, _ in problem.active])
     sigma = np.sqrt(unit[:, -1] / precision.reshape(unit.shape)[:, -1])
-    return _Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
-
-
-def _likeliest_sigma(
-    evidence: _Evidence, rounds: int = 60, still: float = 1e-2, smallest: float = 1e-4, tiny: float = 1e-12
-) -> np.ndarray:
-    """(A,) by MacKay's fixed point; a correction of a hundredth of a percent, the ``smallest``, is none."""
-    sigma, unit = evidence.sigma, evidence.unit
-    for _ in range(rounds):
-        mean, spread = evidence.posterior(sigma)
-        # How many of an unknown's weights the readings determine.
-        free = unit.ravel() > 0
-        told = (1.0 - (evidence.precision(sigma) * np.diag(spread))[: unit.size]) * free
-        squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
-        told = told.reshape(unit.shape).sum(axis=1)
-        likelier = np.sqrt(evidence.alike @ squares / np.maximum(evidence.alike @ told, tiny))
-        before, sigma = sigma, np.maximum(likelier, smallest)
-        if (np.abs(np.log(sigma / before)) < still).all():
-            break
-    return sigma
-
-
-def _gain(evidence: _Evidence, sigma: np.ndarray) -> float:
-    """How much the logarithm of the likelihood, over all weights, rises from no correction to that of ``sigma``."""
-    size, precision = evidence.unit.size, evidence.precision(sigma)
-    whole, rest = evidence.data + np.diag(precision), evidence.data[size:, size:]
-    both = 0.0
-    for sign, matrix, right in ((1.0, whole, evidence.right), (-1.0, rest, evidence.right[size:])):
-        scale = 1 / np.sqrt(np.diag(matrix))
-        scaled = matrix * scale[:, None] * scale
-        quadratic = (right * scale) @ np.linalg.solve(scaled, right * scale)
-        both += sign * 0.5 * (quadratic - np.linalg.slogdet(scaled)[1] + 2 * np.log(scale).sum())
-    return float(both + 0.5 * np.log(precision[:size]).sum())
+    return Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
 
 
 def chance_of_gain(square: float, count: int) -> float:
