@@ -99,12 +99,9 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
 
 def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(A, Z) change of each constant, as a share of itself, by the weights."""
-    values, slope = (every[0, 0].numpy() for every in problem.unknowns(weights)[:2])
-    result = np.zeros((len(problem.active), problem.size))
-    for a, (m, _) in enumerate(problem.active):
-        features = problem.features[m, 0].numpy()
-        result[a, a * len(features) : (a + 1) * len(features)] = slope[a, a] / abs(values[a]) * features
-    return result
+    slopes = problem.unknown_slopes(weights)[0, 0]
+    shares = slopes / np.abs(problem.unknowns(weights)[0][0, 0].numpy())[:, None]
+    return np.pad(shares, ((0, 0), (0, problem.size - shares.shape[1])))
 
 
 def _directions(relative: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

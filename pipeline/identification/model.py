@@ -51,9 +51,9 @@ class CoefficientModel:
 
     @property
     def sizes(self) -> list[tuple[int, int]]:
-        """(inputs, outputs) of every layer; empty for constants."""
+        """(inputs, outputs) of every layer; constants are an output layer that nothing feeds."""
         if self.hidden is None:
-            return []
+            return [(0, len(self.unknowns))]
         before = self.hidden[-1:] or (() if self.functions else (len(self.inputs),))
         widths = [len(self.inputs), *self.hidden]
         n_in = sum(before) + self.n_functions + self.n_trend
@@ -84,7 +84,12 @@ class CoefficientModel:
     @property
     def n_parameters(self) -> int:
         """Q."""
-        return sum((i + 1) * o for i, o in self.sizes) or len(self.unknowns)
+        return sum((i + 1) * o for i, o in self.sizes)
+
+    @property
+    def n_output(self) -> int:
+        """How many of them are the output layer's, the last ones."""
+        return (self.sizes[-1][0] + 1) * self.sizes[-1][1]
 
     def scaled_inputs(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
         """(S, inputs) in [-1, 1] over the trained range, from ``points``: ``speed`` in rad/s, conditions in SI, (S,).
@@ -99,8 +104,9 @@ class CoefficientModel:
 
         if self.functions == "nodes":
             inputs = inputs.clamp(-1.0, 1.0)  # nothing is known beyond the nodes: constant
-        fed, slopes = [inputs.expand(*parameters.shape[:-1], *inputs.shape)], []
-        for weight, bias in self._layers(parameters)[:-1]:
+        first = inputs[:, : self.sizes[0][0]]  # none for constants
+        fed, slopes = [first.expand(*parameters.shape[:-1], *first.shape)], []
+        for weight, bias in self.layers(parameters)[:-1]:
             value, slope = activate(self.activation, fed[-1] @ weight + bias)
             fed.append(value)
             slopes.append(slope)
@@ -113,9 +119,7 @@ class CoefficientModel:
 
     def raw(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """Network output (..., S, U) from parameters (..., Q) and scaled inputs (S, inputs)."""
-        if self.hidden is None:
-            return parameters[..., None, :].expand(*parameters.shape[:-1], len(inputs), len(self.unknowns))
-        weight, bias = self._layers(parameters)[-1]
+        weight, bias = self.layers(parameters)[-1]
         return self._feed(parameters, inputs)[0][-1] @ weight + self._one(inputs) * bias
 
     def _one(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -131,14 +135,11 @@ class CoefficientModel:
         """
         import torch
 
-        n_unknowns = len(self.unknowns)
-        identity = torch.eye(n_unknowns, dtype=parameters.dtype)
-        if self.hidden is None:
-            return identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
-        layers, (fed, slopes) = self._layers(parameters), self._feed(parameters, inputs)
+        identity = torch.eye(len(self.unknowns), dtype=parameters.dtype)
+        layers, (fed, slopes) = self.layers(parameters), self._feed(parameters, inputs)
         blocks: list[torch.Tensor] = []
         # Of U outputs to a layer's sums.
-        sensitivity = identity.expand(*parameters.shape[:-1], len(inputs), n_unknowns, n_unknowns)
+        sensitivity = identity.expand(*parameters.shape[:-1], len(inputs), *identity.shape)
         for layer in range(len(layers) - 1, -1, -1):
             weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
             blocks = [weights, sensitivity, *blocks]
@@ -147,7 +148,7 @@ class CoefficientModel:
                 sensitivity = (sensitivity @ weight.mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
         return torch.cat(blocks, dim=-1)
 
-    def _layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Weights (..., n_in, n_out) and biases (..., 1, n_out) of every layer: views of the flat vector."""
         layers, start = [], 0
         for n_in, n_out in self.sizes:
@@ -161,9 +162,8 @@ class CoefficientModel:
         """The parameters (..., Q) with an output layer of zeros."""
         import torch
 
-        n_in, n_out = self.sizes[-1] if self.sizes else (0, self.n_parameters)
-        count = (n_in + 1) * n_out
-        return torch.cat([parameters[..., :-count], torch.zeros_like(parameters[..., -count:])], dim=-1)
+        kept = parameters[..., : -self.n_output]
+        return torch.nn.functional.pad(kept, (0, self.n_output))
 
     def physical(
         self, raw: torch.Tensor, scale: torch.Tensor, base: torch.Tensor | float = 0.0
@@ -201,12 +201,11 @@ class CoefficientModel:
 
         values, scale = torch.as_tensor(guess, dtype=torch.float64), torch.tensor(self.scale, dtype=torch.float64)
         start = self.raw_from(values, scale, least=0.0)
-        if self.hidden is None:
-            return start
-        members = len(start)
-        pieces = []
+        members, pieces = len(start), []
         for layer, (n_in, n_out) in enumerate(self.sizes):
-            weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(n_in)
+            weight = torch.randn(members, n_in * n_out, generator=generator, dtype=torch.float64) / math.sqrt(
+                max(n_in, 1)
+            )
             bias = torch.randn(members, n_out, generator=generator, dtype=torch.float64)
             if layer == len(self.sizes) - 1:
                 pieces += [output_gain * weight, start]
@@ -251,8 +250,6 @@ class CoefficientModel:
         import torch
 
         bias_input = self._one(inputs).expand(len(parameters), len(inputs), 1)
-        if self.hidden is None:
-            return bias_input
         fed = self._feed(parameters, inputs)[0][-1]
         return torch.cat([fed.expand(len(parameters), *fed.shape[-2:]), bias_input], dim=-1)
 
@@ -273,8 +270,7 @@ class CoefficientModel:
         small = ridge * len(inputs) * torch.eye(fed.shape[-1], dtype=fed.dtype)
         factor = torch.linalg.cholesky(fed.mT @ fed + small)
         output = torch.cholesky_solve(fed.mT @ targets, factor)  # (M, h + 1, U)
-        n_in, n_out = self.sizes[-1]
-        return torch.cat([parameters[:, : -(n_in + 1) * n_out], output.flatten(1)], dim=1)
+        return torch.cat([parameters[:, : -self.n_output], output.flatten(1)], dim=1)
 
 
 def coefficient_model(

@@ -317,17 +317,17 @@ class OutputError(LeastSquares):
 
     def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
-        spread, count, deviations = self.covariance(weights), self.features.shape[-1], []
-        _, slope, by_numbers = (array.numpy() for array in self.unknowns(weights))
-        numbers = np.arange(self.places.numbers.start, self.places.numbers.stop)
-        for a, (m, _) in enumerate(self.active):
-            outputs = np.flatnonzero(slope[:, :, a].any(axis=(0, 1)))
-            by_features = [self.features[m].numpy() * slope[..., a, i, None] for i in outputs]  # (G, S, K) each
-            slopes = np.concatenate([*by_features, by_numbers[:, :, a]], axis=-1)
-            columns = np.concatenate([*(np.arange(i * count, (i + 1) * count) for i in outputs), numbers])
-            block = spread[:, columns[:, None], columns]
-            deviations.append(np.sqrt(np.einsum("gsk,gkl,gsl->gs", slopes, block, slopes, optimize=True)))
-        return np.stack(deviations, axis=-1)
+        slopes, count = self.unknown_slopes(weights), self.places.numbers.stop
+        spread = self.covariance(weights)[:, :count, :count]
+        return np.sqrt(np.einsum("gsaz,gzy,gsay->gsa", slopes, spread, slopes, optimize=True))
+
+    def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
+        """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""
+        import torch
+
+        _, by_outputs, by_numbers = self.unknowns(weights)
+        by_features = torch.einsum("gsab,bsk->gsabk", by_outputs, self._carrier).flatten(-2)
+        return np.asarray(torch.cat([by_features, by_numbers], dim=-1).numpy())
 
     # --- fewer features ------------------------------------------------------------------------------
 

@@ -44,12 +44,6 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
     ]
 
 
-def identified_names(folder: Path) -> list[str]:
-    """The coefficients that a stored model gives for some bearing, by its description alone: without torch."""
-    expansion = np.array(read_json(folder / ARCHITECTURE, "train again with stage=train")["expansion"])
-    return [name for c, name in enumerate(COEFFICIENTS) if expansion[:, c].any()]
-
-
 def load_model(folder: Path) -> IdentifiedModel:
     """Read what :func:`save_model` wrote. Raises DataError: missing, damaged or of another schema."""
     import torch

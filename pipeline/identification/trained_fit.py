@@ -208,7 +208,7 @@ def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor)
     whole, hidden = _join(model, networks)
     count, (n_in, n_out) = len(networks), model.sizes[-1]
     width = n_in - model.n_trend
-    output_layers = networks[..., -(n_in + 1) * n_out :].unflatten(-1, (n_in + 1, n_out))  # (G, M, n_in + 1, U)
+    output_layers = torch.cat(model.layers(networks)[-1], dim=-2)  # (G, M, n_in + 1, U)
     output = torch.zeros(networks.shape[1], count * width + n_in + 1 - width, count, n_out, dtype=networks.dtype)
     for g in range(count):
         output[:, g * width : (g + 1) * width, g] = output_layers[g, :, :width]
@@ -233,16 +233,12 @@ def _join(model: CoefficientModel, networks: torch.Tensor) -> tuple[CoefficientM
     import torch
 
     assert model.hidden is not None
-    count, members, start, pieces = *networks.shape[:2], 0, []
-    for layer, (n_in, n_out) in enumerate(model.sizes[:-1]):
-        weight = networks[..., start : start + n_in * n_out].unflatten(-1, (n_in, n_out))  # (G, M, n_in, n_out)
-        bias = networks[..., start + n_in * n_out : start + (n_in + 1) * n_out]
-        start += (n_in + 1) * n_out
+    count, members, pieces = *networks.shape[:2], []
+    for layer, (weight, bias) in enumerate(model.layers(networks)[:-1]):  # (G, M, n_in, n_out) and (G, M, 1, n_out)
         if layer:
             joined = torch.stack([torch.block_diag(*weight[:, m]) for m in range(members)])
         else:
             joined = weight.movedim(0, 2).flatten(2)
         pieces += [joined.flatten(1), bias.movedim(0, 1).flatten(1)]
     whole = replace(model, hidden=tuple(count * width for width in model.hidden))
-    n_in, n_out = whole.sizes[-1]
-    return whole, torch.cat([*pieces, torch.zeros(members, (n_in + 1) * n_out, dtype=networks.dtype)], dim=1)
+    return whole, torch.cat([*pieces, torch.zeros(members, whole.n_output, dtype=networks.dtype)], dim=1)

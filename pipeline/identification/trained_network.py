@@ -50,15 +50,22 @@ class TrainedNetworks(OutputError):
 
     def normal(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient (G, 1, Y) and information (G, 1, Y, Y)."""
+        import torch
 
-        gradient, matrix = super().normal(weights)
-        jacobian = self.model.raw_jacobian(self.networks(weights), self.nodes)  # (G, M, K, U, Q)
-        slopes, size = weights.new_zeros(len(weights), len(self.active), len(self.nodes), self.size), jacobian.shape[-1]
-        for a, (m, u) in enumerate(self.active):
-            slopes[:, a, :, m * size : (m + 1) * size] = jacobian[:, m, :, u]
-        slope = self.functions.rows @ slopes.flatten(1, 2)
+        (gradient, matrix), slopes = super().normal(weights), self._slopes(weights, self.nodes)
+        by_networks = self.functions.rows @ slopes.movedim(1, 2).flatten(1, 2)
+        slope = torch.nn.functional.pad(by_networks, (0, self.places.n_rest))
         more = self.deviate(weights)[:, None] @ slope
         return gradient + more, matrix + (slope.mT @ slope)[:, None]
+
+    def _slopes(self, weights: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        """(G, S, A, M Q) derivative of the active outputs by the networks' parameters: zero but for their own."""
+        jacobian = self.model.raw_jacobian(self.networks(weights), inputs)  # (G, M, S, U, Q)
+        shape = (len(weights), len(inputs), len(self.active), jacobian.shape[1], jacobian.shape[-1])
+        slopes = jacobian.new_zeros(shape)
+        for a, (m, u) in enumerate(self.active):
+            slopes[:, :, a, m] = jacobian[:, m, :, u]
+        return slopes.flatten(-2)
 
     def deviate(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, N) of the networks' values at the nodes from the prior of functions."""
@@ -79,26 +86,14 @@ class TrainedNetworks(OutputError):
         return self.model.raw(self.networks(weights), self.inputs)
 
     def _spread(self, local: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Speed by speed: no network sees another bearing's."""
+        """Of networks a speed has many columns, so they are summed up at once."""
         import torch
 
-        networks, n_active = self.networks(weights), len(self.active)
-        jacobian = self.model.raw_jacobian(networks, self.inputs)  # (G, M, S, U, Q)
-        members, size = networks.shape[1:]
-        outer = self.places.n_coefficients
-        places = [[a for a, (m, _) in enumerate(self.active) if m == member] for member in range(members)]
-        slopes = [
-            jacobian[:, m][:, :, [self.active[a][1] for a in several]].flatten(1, 2) for m, several in enumerate(places)
-        ]  # (G, S A of the member, Q)
+        slopes, n_active, outer = self._slopes(weights, self.inputs), len(self.active), self.places.n_coefficients
         whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
+        by_slopes = slopes.flatten(1, 2).mT @ torch.cat(
+            [local[:, :, :n_active, :n_active] @ slopes, local[:, :, :n_active, n_active:]], dim=-1
+        ).flatten(1, 2)
+        whole[:, :outer], whole[:, outer:, :outer] = by_slopes, by_slopes[..., outer:].mT
         whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
-        for m, (rows, slope) in enumerate(zip(places, slopes, strict=True)):
-            here = slice(m * size, (m + 1) * size)
-            whole[:, here, outer:] = slope.mT @ local[:, :, rows, n_active:].flatten(1, 2)
-            for other in range(m, members):
-                beside = slice(other * size, (other + 1) * size)
-                across = local[:, :, rows][..., places[other]] @ slopes[other].unflatten(1, (-1, len(places[other])))
-                whole[:, here, beside] = slope.mT @ across.flatten(1, 2)
-                whole[:, beside, here] = whole[:, here, beside].mT
-        whole[:, outer:, :outer] = whole[:, :outer, outer:].mT
         return whole
