@@ -97,7 +97,7 @@ def errors(machine: Machine, training: ResidualTraining, found: Minimum) -> np.n
     worst = []
     for parameters in found.parameters:
         values = training.identified(parameters).values(machine.speeds)
-        true = np.stack([machine.bearings.coefficient(n) for n in training.model.unknowns], axis=-1)
+        true = np.stack([machine.bearings.coefficient(n) for n in training.problem.model.unknowns], axis=-1)
         worst.append(np.abs(values / true - 1).max())
     return np.array(worst)
 

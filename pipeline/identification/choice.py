@@ -20,6 +20,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.quality import MISMATCH
+from pipeline.identification.restored import answer_of
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Guess, Measurement
 
@@ -98,11 +99,8 @@ def judge_models(
 
 def _predict(measurement: Measurement, fitted: Fit) -> float:
     """Mean square of the readings' deviations from the fit's prediction, over their noise."""
-    uncertainty, updated = fitted.uncertainty, measurement
-    if uncertainty is not None:
-        updated = measurement.update(uncertainty.parameters)
-    unbalance = None if uncertainty is None else uncertainty.residual_unbalance
-    predicted = updated.response.predict(fitted.table(updated.updated_known), unbalance)
+    answer = answer_of(measurement, fitted.model, fitted.uncertainty)
+    predicted = answer.measurement.response.predict(answer.table, answer.unbalance)
     off = np.abs(predicted - measurement.dataset.displacement) / measurement.deviation
     return float((off**2).sum() / measurement.dataset.n_readings)
 

@@ -119,9 +119,11 @@ def align_weights(measurement: Measurement) -> Measurement:
     if not at:
         return measurement
     n_speeds, unknowns = len(measurement.dataset.speeds), measurement.unknowns
-    guess = np.repeat(measurement.guess.sizes(unknowns)[:, None], n_speeds, axis=1)
-    guess = guess * [name in ("kxx", "kyy", "cxx", "cyy") for name in unknowns.names]
-    expected = measurement.response.predict(measurement.table(guess)) / measurement.deviation
+    guess = measurement.guess.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
+    expected = (
+        measurement.response.predict(measurement.table(np.repeat(guess[:, None], n_speeds, axis=1)))
+        / measurement.deviation
+    )
     shown = measurement.dataset.displacement / measurement.deviation
     turned = [run - run.mean(axis=2, keepdims=True) for run in (expected, shown)]
     angle = np.angle(np.vdot(turned[0], turned[1]))

@@ -80,7 +80,7 @@ def finite(value: float) -> float | None:
 
 def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
-    plain, inconsistent = _plain_deviations(fit), _list_inconsistent(fit)
+    plain, drift = _plain_deviations(fit), fit.problem.measurement.drift
     # What was not measured has a precision of zero.
     value, readings = chi_square(plain), sum(int((block != 0).sum()) for block in plain)
     parameters = fit.problem.model_parameters(fit.weights)[0]
@@ -88,7 +88,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
-    bad = () if fit.problem.measurement.drift else _bad_points(fit, plain)
+    bad = () if drift else _bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {
@@ -98,10 +98,11 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         },
         "bad_points": len(bad),
     }
-    if fit.problem.measurement.drift:
-        summary["inconsistent_runs"] = inconsistent
+    if drift:  # runs that are conditions of their own, and do not belong to the others
+        runs = zip(fit.problem.measurement.dataset.runs, drift.weights, strict=True)
+        summary["inconsistent_runs"] = [run for run, weight in runs if weight < NAMED]
     # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
-    levels = bool(fit.problem.measurement.drift)
+    levels = bool(drift)
     estimated = not np.allclose(fit.factor, 1.0)
     repeated = _count_repeated(fit) if estimated else 0
     # A guess of a law's number is no reading: that it was off speaks against nothing.
@@ -179,12 +180,6 @@ def mismatch(
     every = [p for p in (by_size, by_order) if p is not None]
     probability = min(1.0, len(every) * min(every)) if every else None
     return {"chi_square": by_size, "whiteness": by_order, "probability": probability}
-
-
-def _list_inconsistent(fit: OutputErrorFit) -> list[str]:
-    """Runs that are conditions of their own, and do not belong to the others."""
-    data, drift = fit.problem.measurement.dataset, fit.problem.measurement.drift
-    return [run for run, w in zip(data.runs, drift.weights, strict=bool(drift)) if w < NAMED]
 
 
 def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:

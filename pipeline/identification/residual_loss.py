@@ -30,7 +30,6 @@ from pipeline.identification.training import FitSetup, initial_guess, root_mean_
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations, LinearResidual
-from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
     import torch
@@ -87,10 +86,15 @@ class ResidualProblem:
 
     def members(self) -> tuple[ResidualProblem, ...]:
         """The problem of each member by itself."""
-        places = [slice(m, m + 1) for m in range(len(self.scale))]
         return tuple(
-            ResidualProblem(self.model, self.inputs, self.matrix[m], self.offset[m], self.rest[m], self.scale[m])
-            for m in places
+            replace(
+                self,
+                matrix=self.matrix[m : m + 1],
+                offset=self.offset[m : m + 1],
+                rest=self.rest[m : m + 1],
+                scale=self.scale[m : m + 1],
+            )
+            for m in range(len(self.scale))
         )
 
     def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -183,7 +187,6 @@ class ResidualTraining:
     """Everything before the first step: the problem on the training speeds and, where some are held out, on those."""
 
     measurement: Measurement
-    model: CoefficientModel
     problem: ResidualProblem
     held_out: ResidualProblem | None
     held_out_per_speed: ResidualProblem | None  # the residual scaled per speed, whatever the loss is
@@ -191,7 +194,7 @@ class ResidualTraining:
     def identified(self, parameters: torch.Tensor) -> IdentifiedModel:
         """The model with parameters (M, Q)."""
         nodes = self.measurement.rotor.bearing_nodes
-        return IdentifiedModel(self.model, self.measurement.unknowns, nodes, parameters)
+        return IdentifiedModel(self.problem.model, self.measurement.unknowns, nodes, parameters)
 
     def per_speed_held_out_loss(self, parameters: torch.Tensor) -> np.ndarray:
         """(G,) what trainings of any loss are compared by; ``parameters`` (G, M, Q).
@@ -234,7 +237,6 @@ def prepare_residual(measurement: Measurement, setup: FitSetup) -> ResidualTrain
     some = bool(held_out.any())
     return ResidualTraining(
         measurement=measurement,
-        model=model,
         problem=trained(~held_out),
         held_out=trained(held_out) if some else None,
         held_out_per_speed=problem(held_out, per_speed) if some else None,
@@ -251,12 +253,11 @@ def initial_parameters(
     """
     import torch
 
-    guess = initial_guess(setup, training.measurement.unknowns, stiffness)
-    start = training.model.initial_parameters(guess, torch.Generator().manual_seed(seed))
+    problem, guess = training.problem, initial_guess(setup, training.measurement.unknowns, stiffness)
+    start = problem.model.initial_parameters(guess, torch.Generator().manual_seed(seed))
     if setup.model.initialisation == "per_speed" and stiffness is None:
-        problem = training.problem
         _, answer = problem.per_speed(setup.loss.regularisation)
-        start = training.model.with_output_at(start, problem.inputs, torch.as_tensor(answer) * problem.scale)
+        start = problem.model.with_output_at(start, problem.inputs, torch.as_tensor(answer) * problem.scale)
     return start[None]
 
 
@@ -270,10 +271,6 @@ class ChebyshevFit:
     degree: int
     held_out_loss: float
     identified: IdentifiedModel
-
-    def table(self, known: BearingTable) -> BearingTable:
-        """All eight coefficients: the identified ones, and the known ones from ``known``."""
-        return self.identified.table(known)
 
 
 def fit_chebyshev(measurement: Measurement, setup: FitSetup) -> ChebyshevFit | None:

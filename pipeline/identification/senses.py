@@ -34,7 +34,6 @@ from pipeline.problem.ranking import find_least, rank_indices
 DECISIVE = 2.0 * math.log(20.0)
 """Chi-square by which one sense must be better: odds of twenty to one."""
 _MIRRORED = np.array([-1.0 if name[1] != name[2] else 1.0 for name in COEFFICIENTS])
-_REVERSED = _MIRRORED * np.array([1.0 if name[0] == "k" else -1.0 for name in COEFFICIENTS])
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,6 @@ class Sense:
 
 SENSES = tuple(Sense(*flags) for flags in itertools.product((False, True), repeat=3))
 """All eight; the first is the data set as it is written."""
-
-
-def reverse(coefficients: np.ndarray) -> np.ndarray:
-    """(.., 8) coefficients with which a machine looks, mirrored and time reversed, as it does with the given ones."""
-    return np.asarray(coefficients * _REVERSED)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from pipeline.identification.model_error import MeanSquareError, noise_alone
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.trained_network import TrainedNetworks, start_networks
 from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, initial_guess, minimise
 
 if TYPE_CHECKING:
@@ -101,8 +101,13 @@ def train_hidden(
     aims = torch.stack([signs, -signs], dim=1).flatten(0, 1)
     every = fit.weights.repeat(count, 1, 1)
     linear = levenberg_marquardt(half, every, setup.optimizer.levenberg_marquardt, until_still())
-    inputs = problem.basis.model.scaled_inputs(problem.measurement.dataset.points)
-    start = _start(problem, linear, inputs, setup, generator)
+    model, rest = problem.basis.model, linear[..., problem.places.n_coefficients :]
+    inputs, guess = (
+        model.scaled_inputs(problem.measurement.dataset.points),
+        initial_guess(setup, problem.measurement.unknowns),
+    )
+    values, _ = model.physical(problem.outputs(linear), problem.scale)
+    start = start_networks(model, guess, generator, inputs, values, rest)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
     training, judging = (
         weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=inputs[:0]) for weighed in (half, other)
@@ -123,20 +128,6 @@ def _halves(count: int, n_speeds: int, generator: torch.Generator) -> torch.Tens
     share = torch.ones(count, n_speeds, dtype=torch.float64)
     share[:, 1:-1] = 2.0 * torch.stack([inner, ~inner], dim=1).flatten(0, 1)
     return share
-
-
-def _start(
-    problem: OutputError, linear: torch.Tensor, inputs: torch.Tensor, setup: FitSetup, generator: torch.Generator
-) -> torch.Tensor:
-    """(G, 1, Y) networks of new hidden units, near the coefficients of the weights (G, 1, Z)."""
-    import torch
-
-    model, guess = problem.basis.model, initial_guess(setup, problem.measurement.unknowns)
-    values, _ = model.physical(problem.outputs(linear), problem.scale)
-    networks = [
-        model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
-    ]
-    return torch.cat([torch.stack(networks)[:, None], linear[..., problem.places.n_coefficients :]], dim=-1)
 
 
 # --- the mean of the networks ----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from pipeline.identification.blocks import Basis, Prior
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.trained_network import TrainedNetworks, start_networks
 from pipeline.identification.training import FitSetup, Progress, minimise
 
 if TYPE_CHECKING:
@@ -44,17 +44,22 @@ def train_from_nodes(
         still: training ends where ``patience`` steps lower the loss by less than this share, which is about one of
             chi-square: far less than what the readings leave open.
     """
+    import torch
+
     problem, spline = fit.problem, fit.problem.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
-    start, n_of_networks = _follow(fit, model, setup.seed, points_a_node)
+    over, rest = _spread(points_a_node * spline.n_functions), fit.weights[..., problem.places.n_coefficients :]
+    guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)
+    start = start_networks(model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest)
+    n_of_networks = start.shape[-1] - rest.shape[-1]
     training = problem.of_kind(
         TrainedNetworks,
         basis=replace(problem.basis, model=model),
         inputs=model.scaled_inputs(problem.measurement.dataset.points),
-        known=_hold(start, n_of_networks, hold),
+        known=_hold(start[0, 0], n_of_networks, hold),
         nodes=_spread(spline.n_functions),
     )
-    minimum = minimise(training, start[None, None], setup.ending(patience, still), progress=progress)
+    minimum = minimise(training, start, setup.ending(patience, still), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
     weights = fit.weights.clone()
     weights[..., : problem.places.n_coefficients] = 0.0  # deviations from the networks
@@ -66,19 +71,6 @@ def train_from_nodes(
         problem=replace(_pose(problem, basis), functions=functions).update(weights),
         minimum=replace(minimum.after(fit.minimum), parameters=weights),
     )
-
-
-def _follow(fit: OutputErrorFit, model: CoefficientModel, seed: int, points_a_node: int) -> tuple[torch.Tensor, int]:
-    """The numbers (Q,) of networks that follow a fit at nodes, then those of the fit beside its coefficients; how many
-    are of the networks.
-    """
-    import torch
-
-    problem = fit.problem
-    over = _spread(points_a_node * problem.model.n_functions)
-    drawn = model.spread_parameters(np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(seed))
-    first = model.with_output_at(drawn, over, problem.model.raw(problem.parameters(fit.weights)[0], over))
-    return torch.cat([first.flatten(), fit.weights[0, 0, problem.places.n_coefficients :]]), first.numel()
 
 
 def _spread(count: int) -> torch.Tensor:

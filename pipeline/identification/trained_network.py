@@ -10,11 +10,35 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pipeline.identification.blocks import Prior
+from pipeline.identification.model import CoefficientModel
 from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
+
+
+def start_networks(
+    model: CoefficientModel,
+    guess: np.ndarray,
+    generator: torch.Generator,
+    inputs: torch.Tensor,
+    values: torch.Tensor,
+    rest: torch.Tensor,
+) -> torch.Tensor:
+    """(G, 1, Y) networks of new hidden units, near the coefficients ``values`` (G, M, S, U) at scaled ``inputs``
+    (S, 1), and the ``rest`` (G, 1, Y - M Q) of the numbers.
+
+    Hidden units are drawn by the ``generator``, for networks that start at the ``guess`` (M, U).
+    """
+    import torch
+
+    networks = [
+        model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
+    ]
+    return torch.cat([torch.stack(networks)[:, None], rest], dim=-1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.coefficients import is_direct, is_stiffness
+from pipeline.coefficients import is_direct
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
 from pipeline.identification import optimizers
 from pipeline.identification.optimizers import LeastSquares
+from pipeline.problem.measurement import Guess
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:
@@ -99,16 +100,8 @@ def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None
 
     Cross-coupled coefficients, which have either sign, start at zero.
     """
-    model = setup.model
-    values = [
-        0.0
-        if not is_direct(name)
-        else (stiffness or model.initial_stiffness)
-        if is_stiffness(name)
-        else model.initial_damping
-        for name in unknowns.names
-    ]
-    return np.tile(values, (unknowns.n_members, 1))
+    guess = Guess(stiffness or setup.model.initial_stiffness, setup.model.initial_damping)
+    return guess.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

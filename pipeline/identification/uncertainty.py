@@ -236,15 +236,9 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             int(parts["n_local"][0]),
             Unfitted(parts["tolerance_kinds"], parts["tolerance_moves"], parts["tolerances"]),
         )
-        size = (
-            len(uncertainty.active) * (uncertainty.weights.shape[-1] + uncertainty.n_local)
-            + len(identified.theta)
-            + 2 * len(uncertainty.planes)
-            + len(uncertainty.parameters)
-        )
         if (
-            uncertainty.covariance.shape != (size, size)
-            or len(uncertainty.unfitted.moves) != size
+            uncertainty.places.n_numbers != len(identified.theta)
+            or len({*uncertainty.covariance.shape, len(uncertainty.unfitted.moves)}) != 1
             or len(uncertainty.weights) != len(identified.parameters)
         ):
             raise ValueError("its numbers do not fit the model")

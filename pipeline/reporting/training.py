@@ -56,7 +56,7 @@ def draw_robustness(
     """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
     if not minimum.trajectory:
         return _draw_final_errors(path, rows, over)
-    model, nodes = training.model, training.measurement.rotor.bearing_nodes
+    model, nodes = training.problem.model, training.measurement.rotor.bearing_nodes
     steps = np.array([step for step, _ in minimum.trajectory])
     scale = model.scale_tensor()[:, 0]
     # (T, G, M, U)

@@ -58,7 +58,7 @@ def test_problem_jacobian_equals_autograd(
     few = np.arange(0, 60, 9)
     measurement = asked(hydrostatic, "kxx", "kyy", "cxx", shared=tied).select(few)
     prepared = prepare_residual(measurement, replace(setup, model=model))
-    shape = (1, 1 if tied else 2, prepared.model.n_parameters)
+    shape = (1, 1 if tied else 2, prepared.problem.model.n_parameters)
     parameters = 0.3 * torch.randn(*shape, generator=generator, dtype=torch.float64)
     found = prepared.problem.jacobian(parameters)
     wanted = torch.autograd.functional.jacobian(prepared.problem.rows, parameters)  # (1, M, rows, 1, M, P)
@@ -224,7 +224,7 @@ def test_known_answer_has_zero_gradient(ball: Machine) -> None:
     generator = torch.Generator().manual_seed(0)
     gradients = []
     for guess in (true, 1.01 * true):
-        at = prepared.model.initial_parameters(guess, generator)[None]
+        at = prepared.problem.model.initial_parameters(guess, generator)[None]
         rows, jacobian = prepared.problem.rows(at), prepared.problem.jacobian(at)
         gradients.append(float((jacobian.mT @ rows[..., None]).abs().max()))
         if guess is true:
