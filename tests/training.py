@@ -18,7 +18,7 @@ from pipeline.config.identification import (
 )
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
-from pipeline.identification.training import FitSetup, Minimum, Progress, minimise
+from pipeline.identification.training import FitSetup, Minimum, Progress, Watch, minimise
 from pipeline.problem.measurement import Measurement
 
 FOREVER = 100_000  # patience: no early stopping
@@ -73,7 +73,7 @@ def minimised(
     start: torch.Tensor,
     setup: FitSetup,
     progress: Progress | None = None,
-    record_trajectory: bool = False,
+    watch: Watch | None = None,
 ) -> Minimum:
     """Train from there."""
     return minimise(
@@ -82,7 +82,7 @@ def minimised(
         setup,
         held_out=training.held_out,
         progress=progress,
-        record_trajectory=record_trajectory,
+        watch=watch,
     )
 
 

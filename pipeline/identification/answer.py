@@ -55,28 +55,21 @@ def conclude(fit: OutputErrorFit) -> Fit:
 def restore(
     measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty
 ) -> tuple[OutputError, torch.Tensor]:
-    """The problem of a fit at the readings of ``measurement``, and the fit's weights (1, 1, Z).
+    """The problem of a fit at the readings of ``measurement``, and the fit's weights (1, 1, Z): those of the functions
+    are deviations from the answer. So priors of functions say how far these may go, and nothing of where they aim.
 
     ``measurement`` is at the fitted model parameters; it may have other speeds and runs than the fit.
     """
     import torch
 
-    to_features = torch.as_tensor(uncertainty.weights)  # (M, F, K)
-    places, (member, unknown) = uncertainty.places, uncertainty.active.T.tolist()
-    count = to_features.shape[-1]
-    told = np.diag(uncertainty.covariance)[places.coefficients].reshape(len(member), -1)[:, :count] > 0
-    kept, precision = torch.as_tensor(told), torch.as_tensor(uncertainty.precision)
-    functions = Prior(*map(torch.as_tensor, uncertainty.functions))
-    output = identified.parameters[:, -to_features.shape[1] * len(identified.unknowns.names) :]
-    output = output.unflatten(-1, (to_features.shape[1], -1))  # (M, F, U)
-    every = torch.linalg.pinv(to_features) @ output  # (M, K, U)
-    basis = Basis(identified.model, identified.parameters, to_features, 0)
-    basis = replace(basis, parameters=basis.parameters_of(-every.mT[None])[0])
+    (n_active, count), precision = uncertainty.precision.shape, torch.as_tensor(uncertainty.precision)
+    told = np.diag(uncertainty.covariance)[uncertainty.places.coefficients].reshape(n_active, -1)[:, :count] > 0
+    rows, aims = map(torch.as_tensor, uncertainty.functions)
+    basis = Basis(identified.model, identified.parameters, torch.as_tensor(uncertainty.weights), 0)
     made = output_error(measurement.with_laws(identified.laws), basis, uncertainty.plane_scale)
-    problem = replace(made, kept=kept, precision=precision, functions=functions)
-    coordinates = every[member, :, unknown] * kept
+    functions = Prior(rows, torch.zeros_like(aims))
+    problem = replace(made, kept=torch.as_tensor(told), precision=precision, functions=functions)
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
-    weights[0, 0, problem.places.coefficients] = coordinates.flatten()
     weights[0, 0, problem.places.numbers] = identified.theta
     unbalance = torch.as_tensor(uncertainty.residual_unbalance / uncertainty.plane_scale)
     weights[0, 0, problem.places.planes] = torch.view_as_real(unbalance).flatten()

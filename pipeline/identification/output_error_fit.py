@@ -37,7 +37,6 @@ class OutputErrorFit:
     start: OutputErrorStart
     problem: OutputError  # with the final precisions
     minimum: Minimum  # of the last round; its history and steps are those of all rounds
-    shares: tuple[np.ndarray, ...]  # Huber's weights, (S, P, R of the block)
     factor: np.ndarray  # (P,) deviation of each channel over the stated one
 
     @property
@@ -123,7 +122,7 @@ def fit_from(
         problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
     if start.by_evidence:
         problem = with_sigma(problem)
-    factor, shares = np.ones(len(start.measurement.dataset.channels)), _count_fully(problem)
+    factor = np.ones(len(start.measurement.dataset.channels))
     minimum: Minimum | None = None
     near = near or start.searched is not None
     approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
@@ -133,7 +132,6 @@ def fit_from(
         last = minimise(less, weights, setup, progress=progress)
         minimum, weights = last.after(minimum) if minimum else last, last.parameters
         if minimum.outcomes[0] is Outcome.INTERRUPTED:
-            shares = _count_fully(problem)
             break
         if turn >= 0 and setup.loss.noise == "estimated":
             factor = np.maximum(estimate_noise(problem, weights), least_noise if start.searched else 0.0)
@@ -141,7 +139,7 @@ def fit_from(
         if turn < 0:
             continue
         before = problem
-        problem, shares = reweigh(problem, weights, factor, setup.loss.robust)
+        problem = reweigh(problem, weights, factor, setup.loss.robust)
         if turn >= choice and start.by_evidence and bool(problem.kept.any()):
             problem, weights = weigh_by_evidence(problem, weights)
         if turn == choice and not start.from_guess and selects:
@@ -154,7 +152,7 @@ def fit_from(
         if turn > choice and _change(problem, before) < settled:
             break
     assert minimum is not None, "there are rounds"
-    return OutputErrorFit(start=start, problem=problem, minimum=minimum, shares=shares, factor=factor)
+    return OutputErrorFit(start=start, problem=problem, minimum=minimum, factor=factor)
 
 
 _LESS_EXACT = (0.03, 0.1, 0.3)
@@ -168,18 +166,11 @@ def _change(problem: OutputError, before: OutputError) -> float:
     return max(float((new[new > 0] / old[new > 0]).log().abs().max()) for new, old in pairs)
 
 
-def _count_fully(problem: OutputError) -> tuple[np.ndarray, ...]:
-    """Shares of one for all readings."""
-    return tuple(np.ones(precision.shape[1:]) for precision in problem.readings.precision)
-
-
 # --- what the readings' noise is -------------------------------------------------------------------------
 
 
-def reweigh(
-    problem: OutputError, weights: torch.Tensor, factor: np.ndarray, robust: bool
-) -> tuple[OutputError, tuple[np.ndarray, ...]]:
-    """Precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off.
+def reweigh(problem: OutputError, weights: torch.Tensor, factor: np.ndarray, robust: bool) -> OutputError:
+    """The problem with precisions from the predicted amplitudes and, if ``robust``, Huber's for readings far off.
 
     Where the noise is in levels, each run has the share of its condition, as that belongs to the others, and the levels
     stay as they are: would they follow the residuals, a fit could leave a bias that the noise then explains.
@@ -189,8 +180,7 @@ def reweigh(
         off = (expected - readings.measured[b]).abs().numpy() / readings.deviation(b, expected.numpy(), factor)
         share = HUBER / np.maximum(off, HUBER) if robust else np.ones_like(off)
         shares.append(np.minimum(drift.weights, 1.0)[readings.runs[b]] * np.ones_like(off) if drift else share)
-    problem = replace(problem, readings=readings.follow(predicted, factor, shares))
-    return problem, tuple(share[0] for share in shares)
+    return replace(problem, readings=readings.follow(predicted, factor, shares))
 
 
 def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:

@@ -143,8 +143,7 @@ class OutputError(LeastSquares):
         alone = weights[:, 0, self.places.coefficients].unflatten(-1, (len(self.active), -1)) * self.kept  # (G, A, K)
         members, n_unknowns = len(self.scale), self.scale.shape[-1]
         full = torch.zeros(len(weights), members, n_unknowns, self.features.shape[-1], dtype=weights.dtype)
-        for a, (m, u) in enumerate(self.active):
-            full[:, m, u] = alone[:, a]
+        full[:, [m for m, _ in self.active], [u for _, u in self.active]] = alone
         return full
 
     def parameters(self, weights: torch.Tensor) -> torch.Tensor:

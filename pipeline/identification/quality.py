@@ -132,18 +132,29 @@ def _count_repeated(fit: OutputErrorFit) -> int:
     return int(data.present[:, again].sum()) * len(data.channels)
 
 
-def measure_inflation(fit: Mapping[str, Any], estimated: bool, small: float = 1.5, significant: float = 1.645) -> float:
+def measure_inflation(
+    fit: Mapping[str, Any],
+    estimated: bool,
+    small: float = 1.5,
+    significant: float = 1.645,
+    strongest: float = 0.99,
+) -> float:
     """How much larger the variances are than the fit says: by its deviations' size (Birge 1932) and their correlation.
 
     Correlated deviations of the stated size are noise that wanders; larger ones are a model that does not fit. Where
     the noise is ``estimated`` from the deviations themselves, their size is in it already.
 
+    Windows of a run-up that overlap, and a model that is a little off, make neighbouring speeds deviate together: they
+    then are worth fewer readings than they are, as the mean of a first-order autoregression says.
+
     Args:
         small: chi-square over what is expected, up to which what is left over is below the noise.
         significant: of a normal value, on one side, which 5 of 100 exceed.
+        strongest: correlations count as this one at most.
     """
     square, whiteness = fit["chi_square"], fit["whiteness"]
-    correlated = variance_inflation(whiteness["autocorrelation"])
+    bounded = min(max(whiteness["autocorrelation"], 0.0), strongest)
+    correlated = (1 + bounded) / (1 - bounded)  # 1 or more
     if estimated:
         return correlated
     ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
@@ -192,7 +203,7 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     import torch
 
     readings = fit.problem.readings
-    pairs = zip(readings.precision, fit.shares, strict=True)
+    pairs = zip(readings.precision, readings.shares, strict=True)
     whole = replace(readings, precision=tuple(every / torch.as_tensor(share).sqrt() for every, share in pairs))
     with np.errstate(all="ignore"):  # of a fit that ran away
         every = replace(fit.problem, readings=whole).deviations(fit.weights)
@@ -242,7 +253,7 @@ def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
     The deviation is that of independent values of any variances (see :func:`measure_whiteness`).
     """
     products = np.concatenate([_multiply_neighbours(d, 1).ravel() for d in deviations])
-    power = sum(float((np.abs(d) ** 2).sum()) for d in deviations)
+    power = chi_square(deviations)
     spread = float(np.sqrt((products**2).sum()))  # zero where nothing was measured
     if power == 0 or spread == 0:
         return 0.0, 0.0
@@ -275,13 +286,3 @@ def measure_whiteness(deviations: Sequence[np.ndarray], most_lags: int = 10) -> 
         return None
     counts = np.arange(1, lags + 1)
     return float(binom.pmf(counts, lags, 0.5) @ chi2.sf(total, counts)) if total > 0 else 1.0
-
-
-def variance_inflation(correlation: float, strongest: float = 0.99) -> float:
-    """How much larger the variance of a mean is where neighbours correlate (first-order autoregression); 1 or more.
-
-    Windows of a run-up that overlap, and a model that is a little off, make neighbouring speeds deviate together: they
-    then are worth fewer readings than they are. Correlations count as ``strongest`` at most.
-    """
-    bounded = min(max(correlation, 0.0), strongest)
-    return (1 + bounded) / (1 - bounded)

@@ -38,6 +38,9 @@ class Readings:
     mixing: tuple[torch.Tensor, ...]  # (R, S P, S P) where noise ties probes and speeds together; none elsewhere
     precision: tuple[torch.Tensor, ...] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation, for both parts
     common: tuple[torch.Tensor, ...] = ()  # likewise, a subtracted baseline's deviation over the own one; none without
+    shares: tuple[
+        np.ndarray, ...
+    ] = ()  # by which readings count, as the precision has it: one, or less for those far off
 
     @property
     def size(self) -> int:
@@ -100,14 +103,15 @@ class Readings:
         import torch
 
         measurement, precision, common = self.measurement, [], []
+        counted = tuple(shares) or (np.ones(1),) * len(self.runs)
         for b, expected in enumerate(predicted):
-            taken, share = measurement.baseline[..., self.runs[b]], np.asarray(shares[b] if shares else 1.0)
+            taken = measurement.baseline[..., self.runs[b]]
             alone = measurement.deviation_of(expected.numpy() + taken, factor=factor)
-            precision.append(torch.as_tensor(np.sqrt(2.0 * share) / alone) * self.present(b))
+            precision.append(torch.as_tensor(np.sqrt(2.0 * counted[b]) / alone) * self.present(b))
             if measurement.baseline.any():
                 shared = np.where(taken != 0, measurement.deviation_of(taken, factor=factor), 0.0) / alone
                 common.append(torch.as_tensor(shared))
-        return replace(self, precision=tuple(precision), common=tuple(common))
+        return replace(self, precision=tuple(precision), common=tuple(common), shares=counted)
 
 
 def gather_readings(measurement: Measurement) -> Readings:

@@ -285,17 +285,13 @@ def fit_chebyshev(measurement: Measurement, setup: FitSetup) -> ChebyshevFit | N
         return None
     n_speeds = len(measurement.dataset.speeds)
     n_training = n_speeds - int(held_out_speeds(n_speeds, setup.training.holdout_every).sum())
-    best: ChebyshevFit | None = None
-    for degree in range(2, 41, 2):
-        if degree + 1 > n_training:
-            break
+    fits = []
+    for degree in range(2, min(40, n_training - 1) + 1, 2):
         training = prepare_residual(measurement, replace(setup, model=setup.model.as_chebyshev(degree), force=True))
         parameters = torch.stack([_solve(member) for member in training.problem.members()])[None]  # (1, M, Q)
-        assert training.held_out is not None
         loss = float(training.per_speed_held_out_loss(parameters)[0])
-        if best is None or loss < best.held_out_loss:
-            best = ChebyshevFit(degree, loss, training.identified(parameters[0]))
-    return best
+        fits.append(ChebyshevFit(degree, loss, training.identified(parameters[0])))
+    return min(fits, key=lambda fit: fit.held_out_loss, default=None)
 
 
 def _solve(problem: ResidualProblem) -> torch.Tensor:

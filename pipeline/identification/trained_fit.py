@@ -175,7 +175,6 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, minimum: Minimum) -> T
         start=replace(start, held_out=held_out),
         problem=problem,
         minimum=replace(trained, parameters=answer[None, None], outcomes=(outcome,)),
-        shares=fit.shares,
         factor=fit.factor,
         scatter=off.T @ off / len(each),
     )
@@ -197,13 +196,11 @@ def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor)
     import torch
 
     whole, hidden = _join(model, networks)
-    count, (n_in, n_out) = len(networks), model.sizes[-1]
-    width = n_in - model.n_trend
+    width = model.sizes[-1][0] - model.n_trend
     output_layers = torch.cat(model.layers(networks)[-1], dim=-2)  # (G, M, n_in + 1, U)
-    output = torch.zeros(networks.shape[1], count * width + n_in + 1 - width, count, n_out, dtype=networks.dtype)
-    for g in range(count):
-        output[:, g * width : (g + 1) * width, g] = output_layers[g, :, :width]
-        output[:, count * width :, g] = output_layers[g, :, width:]
+    separate = torch.eye(len(networks), dtype=networks.dtype)  # no network sees the others' hidden units
+    hidden_layers = torch.einsum("gmwu,gh->mgwhu", output_layers[:, :, :width], separate).flatten(1, 2)
+    output = torch.cat([hidden_layers, output_layers[:, :, width:].movedim(0, 2)], dim=1)
     columns = whole.features(hidden, inputs) @ output.flatten(2)
     size = columns.norm(dim=1, keepdim=True).clamp(min=_TINY)
     left, singular, right = torch.linalg.svd(columns / size, full_matrices=False)

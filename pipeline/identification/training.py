@@ -50,8 +50,9 @@ class Outcome(StrEnum):
         return self.name.lower()
 
 
-Watch = Callable[[str, int, int, "torch.Tensor"], None]
-"""Follows the best state (G, M, Q) of a training, by phase, step and their total; what it raises ends the training."""
+Watch = Callable[["torch.Tensor", "torch.Tensor", str, int, int], None]
+"""Follows a training: its state and the best one so far (G, M, Q), by phase, step and their total; what it raises ends
+the training."""
 Progress = Callable[[str, int, int, float], None]
 """Shows a training while it runs, by phase, step, their total and the loss, such as a progress bar."""
 
@@ -115,7 +116,6 @@ class Minimum:
     steps: int
     seconds: float
     history: tuple[Mapping[str, float | str], ...]
-    trajectory: tuple[tuple[int, torch.Tensor], ...]  # (step, parameters), where it was asked for
 
     def after(self, before: Minimum) -> Minimum:
         """The same with the history, steps and time of the training ``before`` it."""
@@ -132,7 +132,6 @@ class _Monitor:
     held_out: LeastSquares | None
     config: TrainingConfig
     progress: Progress | None
-    record_trajectory: bool
     watch: Watch | None
     together: bool = False  # all trainings end where no score falls any more, not each by its loss
     phase: str = ""
@@ -142,7 +141,6 @@ class _Monitor:
     phase_start: int = 0
     started: float = field(default_factory=time.perf_counter)
     history: list[dict[str, float | str]] = field(default_factory=list)
-    trajectory: list[tuple[int, Any]] = field(default_factory=list)
     best: Any = None  # (G, M, Q)
     best_score: Any = None  # (G, M)
     first_loss: Any = None  # (G, M)
@@ -189,12 +187,10 @@ class _Monitor:
             row["held_out_loss"] = float(score.square().mean().sqrt())
         row["seconds"] = time.perf_counter() - self.started
         self.history.append(row)
-        if self.record_trajectory:
-            self.trajectory.append((self.step, parameters.clone()))
         if self.progress is not None:
             self.progress(self.phase, self.step - self.phase_start + 1, self.total, loss)
         if self.watch is not None:
-            self.watch(self.phase, self.step - self.phase_start + 1, self.total, self.best)
+            self.watch(parameters, self.best, self.phase, self.step - self.phase_start + 1, self.total)
 
 
 _MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
@@ -211,7 +207,6 @@ def minimise(
     *,
     held_out: LeastSquares | None = None,
     progress: Progress | None = None,
-    record_trajectory: bool = False,
     watch: Watch | None = None,
     together: bool = False,
 ) -> Minimum:
@@ -224,7 +219,6 @@ def minimise(
         held_out=held_out,
         config=setup.training,
         progress=progress,
-        record_trajectory=record_trajectory,
         watch=watch,
         together=together,
     )
@@ -246,7 +240,6 @@ def minimise(
         steps=monitor.step,
         seconds=time.perf_counter() - monitor.started,
         history=tuple(monitor.history),
-        trajectory=tuple(monitor.trajectory),
     )
 
 

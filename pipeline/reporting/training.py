@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,9 @@ from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
     import pandas as pd
+    import torch
 
     from pipeline.identification.residual_loss import ResidualTraining
-    from pipeline.identification.training import Minimum
 
 
 def draw_history(path: Path, history: Path, label: str, large_ratio: float = 2.0) -> Path:
@@ -48,19 +48,22 @@ def draw_history(path: Path, history: Path, label: str, large_ratio: float = 2.0
 def draw_robustness(
     path: Path,
     training: ResidualTraining,
-    minimum: Minimum,
+    trajectory: Sequence[torch.Tensor],
     over: str,
     rows: pd.DataFrame,
     modelled: BearingTable | None,
 ) -> Path:
-    """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds."""
-    if not minimum.trajectory:
+    """Paper, Figure 2: the stiffnesses on their way from every guess; final errors over guesses or seeds.
+
+    ``trajectory`` has the parameters (G, M, Q) of every step; none where that is not to be shown.
+    """
+    if not trajectory:
         return _draw_final_errors(path, rows, over)
     model, nodes = training.problem.model, training.measurement.rotor.bearing_nodes
-    steps = np.array([step for step, _ in minimum.trajectory])
+    steps = np.arange(len(trajectory))
     scale = model.scale_tensor()[:, 0]
     # (T, G, M, U)
-    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for _, state in minimum.trajectory])
+    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for state in trajectory])
     guesses, members = paths.shape[1:3]
     panels: list[Panel] = []
     for m in range(members):

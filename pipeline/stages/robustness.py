@@ -41,6 +41,7 @@ def run(analysis: Analysis) -> StageOutput:
     starts, begin = choose_starts(config.robustness), partial(initial_parameters, training, setup)
     by_seed = config.robustness.over == "seed"
     first = [begin(int(start)) if by_seed else begin(config.seed, float(start)) for start in starts]
+    trajectory: list[torch.Tensor] = []
     with training_progress(f"{config.name}: {len(starts)} at once") as progress:
         minimum = minimise(
             training.problem,
@@ -48,7 +49,7 @@ def run(analysis: Analysis) -> StageOutput:
             setup,
             held_out=training.held_out,
             progress=progress,
-            record_trajectory=setup.constant,
+            watch=(lambda state, *_: trajectory.append(state.clone())) if setup.constant else None,
         )
     modelled = load_modelled(config, measurement)  # read when training is over
     work = analysis.files
@@ -63,7 +64,7 @@ def run(analysis: Analysis) -> StageOutput:
     written = [
         write_json(work.folder / "robustness.json", summary),
         write_table(work.folder / "robustness.csv", rows),
-        draw_robustness(work.figure("robustness"), training, minimum, config.robustness.over, rows, modelled),
+        draw_robustness(work.figure("robustness"), training, trajectory, config.robustness.over, rows, modelled),
     ]
     exit_code = 130 if Outcome.INTERRUPTED in minimum.outcomes else 0
     return StageOutput(

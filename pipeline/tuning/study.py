@@ -195,7 +195,7 @@ def judge(measurement: Measurement, setup: FitSetup, step: Step) -> Judged:
         )
     training, last = prepare_residual(measurement, setup), phases(setup.optimizer)[-1]
 
-    def watch(phase: str, number: int, total: int, best: torch.Tensor) -> None:
+    def watch(_: torch.Tensor, best: torch.Tensor, phase: str, number: int, total: int) -> None:
         # Phases before the last have curves of another shape.
         known = (lambda: float(training.per_speed_held_out_loss(best)[0])) if phase == last else None
         step(phase, number, total, known)

@@ -209,7 +209,7 @@ def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> No
     """The two journals of a rotor move differently; a tied model has both bearings' residual in one norm."""
     setup = setup_of(hydrostatic, optimizer(lm=1))
     tied, single = (prepare_residual(asked(hydrostatic, shared=shared), setup) for shared in (True, False))
-    assert (len(tied.model.scale), len(single.model.scale)) == (1, 2)
+    assert (len(tied.problem.model.scale), len(single.problem.model.scale)) == (1, 2)
     parameters = torch.zeros(1, 2, single.model.n_parameters, dtype=torch.float64)
     same = replace(single.problem, scale=tied.problem.scale.expand(2, -1, -1))
     both = same.loss(parameters).square().mean(dim=1).sqrt()

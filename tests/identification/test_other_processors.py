@@ -132,7 +132,6 @@ def test_losses_below_rounding_are_no_improvement() -> None:
             held_out=None,
             config=TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1),
             progress=None,
-            record_trajectory=False,
             watch=None,
         )
         monitor.begin("levenberg_marquardt", 100, 3)

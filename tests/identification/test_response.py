@@ -210,7 +210,7 @@ def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
     shifted = np.where(spoilt, 1.1 * dataset.displacement, dataset.displacement)
     fit = fit_of(rotor_of, replace(dataset, displacement=shifted), 0.01)
     clean = fit_of(rotor_of, dataset, 0.01)
-    listed = np.concatenate([w.ravel() for w in fit.shares]) < 0.5
+    listed = np.concatenate([w.ravel() for w in fit.problem.readings.shares]) < 0.5
     assert listed.sum() >= 0.9 * spoilt.sum()
     change = np.abs(fit.identified.table(rotor_of.bearings).values - clean.identified.table(rotor_of.bearings).values)
     assert np.median(change[..., [0, 3]] / rotor_of.bearings.values[..., [0, 3]]) < 0.004
