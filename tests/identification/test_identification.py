@@ -210,7 +210,7 @@ def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> No
     setup = setup_of(hydrostatic, optimizer(lm=1))
     tied, single = (prepare_residual(asked(hydrostatic, shared=shared), setup) for shared in (True, False))
     assert (len(tied.problem.model.scale), len(single.problem.model.scale)) == (1, 2)
-    parameters = torch.zeros(1, 2, single.model.n_parameters, dtype=torch.float64)
+    parameters = torch.zeros(1, 2, single.problem.model.n_parameters, dtype=torch.float64)
     same = replace(single.problem, scale=tied.problem.scale.expand(2, -1, -1))
     both = same.loss(parameters).square().mean(dim=1).sqrt()
     torch.testing.assert_close(tied.problem.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
