@@ -194,14 +194,10 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
 
     The squared modulus of circular noise has the median ln 2; the weights took their share of the rest.
     """
-    left = []
-    for b, predicted in enumerate(problem.predicted(weights)):
-        stated = problem.readings.deviation(b, predicted[0].numpy())
-        off = (predicted - problem.readings.measured[b]).abs()[0].numpy() / stated
-        here = problem.readings.present(b).numpy() > 0
-        off = np.where(here, off, np.nan)
-        left.append(np.moveaxis(off, 1, 0).reshape(off.shape[1], -1))
-    squared = np.nanmedian(np.concatenate(left, axis=1) ** 2, axis=1) / np.log(2.0)
+    measurement, read = problem.measurement, problem.displacement(weights)
+    data = measurement.dataset
+    off = np.abs(read - data.displacement) / measurement.deviation_of(read, measurement.baseline)
+    squared = np.nanmedian(np.where(data.present[:, None], off, np.nan) ** 2, axis=(0, 2)) / np.log(2.0)
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest
         used -= float((problem.covariance(weights)[0] * problem.prior.information().numpy()).sum())

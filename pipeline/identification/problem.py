@@ -189,6 +189,13 @@ class OutputError(LeastSquares):
         """(G, S, P, R) m of every block."""
         return self.sensors.predict(self.unknowns(weights)[0], self.unbalance(weights), self.model_parameters(weights))
 
+    def displacement(self, weights: torch.Tensor) -> np.ndarray:
+        """(S, P, R) m as the data set has them, of the weights (1, 1, Z)."""
+        read = np.empty_like(self.measurement.dataset.displacement)
+        for runs, predicted in zip(self.readings.runs, self.predicted(weights), strict=True):
+            read[..., runs] = predicted[0].numpy()
+        return read
+
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
         readings, whitened = self.readings, []

@@ -215,19 +215,14 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None
 
     None where the coefficients leave all bounds there: functions that speeds do not hold may do anything.
     """
-    squares, errors, size = 0.0, 0.0, 0.0
     other = other.update(fit.weights)
-    for b, predicted in enumerate(other.predicted(fit.weights)):
-        measured, reached = other.readings.measured[b][0].numpy(), predicted[0].numpy()
-        with np.errstate(over="ignore", invalid="ignore"):
-            noise = other.readings.deviation(b, reached, fit.factor)
-            off = np.abs(reached - measured) ** 2 * other.readings.present(b).numpy()
-            squares += float((off / noise**2).sum())
-            errors += float(off.sum())
-        size += float((np.abs(measured) ** 2).sum())
-    count = other.measurement.dataset.n_readings
-    error = 100.0 * float(np.sqrt(errors / size))
-    return {"mean_square_over_noise": finite(squares / count), "error_percent": finite(error)}
+    measurement, read = other.measurement, other.displacement(fit.weights)
+    data = measurement.dataset
+    with np.errstate(over="ignore", invalid="ignore"):
+        noise = measurement.deviation_of(read, measurement.baseline, fit.factor)
+        off = np.abs(read - data.displacement) ** 2 * data.present[:, None]
+        square, error = (off / noise**2).sum() / data.n_readings, off.sum() / (np.abs(data.displacement) ** 2).sum()
+    return {"mean_square_over_noise": finite(square), "error_percent": finite(100.0 * np.sqrt(error))}
 
 
 def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray], beyond: float = 4.0) -> tuple[BadPoint, ...]:

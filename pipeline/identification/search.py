@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,13 +115,20 @@ class Whitened(LeastSquares):
         """Y'."""
         return int(self.choices.root.shape[-1]) + self.problem.places.n_rest
 
+    @cached_property
+    def root(self) -> torch.Tensor:
+        """(G, Z, Y') derivative of the weights by the numbers."""
+        import torch
+
+        rest = torch.eye(self.problem.places.n_rest, dtype=self.choices.root.dtype)
+        return torch.stack([torch.block_diag(root, rest) for root in self.choices.root])
+
     def weights(self, y: torch.Tensor) -> torch.Tensor:
         """(G, 1, Z)."""
         import torch
 
-        count = self.choices.root.shape[-1]
-        first = self.choices.mean[:, None] + y[..., :count] @ self.choices.root.mT
-        return torch.cat([first, y[..., count:]], dim=-1)
+        mean = torch.nn.functional.pad(self.choices.mean, (0, self.problem.places.n_rest))
+        return mean[:, None] + y @ self.root.mT
 
     def rows(self, y: torch.Tensor, /) -> torch.Tensor:
         """(G, 1, rows), the numbers of the choices last."""
@@ -132,14 +140,10 @@ class Whitened(LeastSquares):
         """Gradient (G, 1, Y') and information (G, 1, Y', Y')."""
         import torch
 
-        (gradient, matrix), root = self.problem.normal(self.weights(y)), self.choices.root[:, None]
-        n, count = root.shape[-2:]
-        first = gradient[..., :n] @ self.choices.root + y[..., :count]
-        across = root.mT @ matrix[..., :n, n:]
-        inner = root.mT @ matrix[..., :n, :n] @ root + torch.eye(count, dtype=y.dtype)
-        above = torch.cat([inner, across], dim=-1)
-        below = torch.cat([across.mT, matrix[..., n:, n:]], dim=-1)
-        return torch.cat([first, gradient[..., n:]], dim=-1), torch.cat([above, below], dim=-2)
+        gradient, matrix = self.problem.normal(self.weights(y))
+        of_choices = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)
+        own = self.root.mT[:, None] @ matrix @ self.root[:, None]
+        return gradient @ self.root + of_choices * y, own + torch.diag(of_choices)
 
     def loss(self, y: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""
@@ -209,9 +213,7 @@ def search(
         y = whitened.minimise(y, 1e-4, steps=20)
     whitened, y, evidence = _rank(whitened, y, kept)
     shares = (evidence - evidence[0]).exp()
-    rest = torch.eye(problem.places.n_rest, dtype=y.dtype)
-    roots = torch.stack([torch.block_diag(root, rest) for root in whitened.choices.root])
-    covariance = roots @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ roots.mT
+    covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
     return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray((shares / shares.sum()).numpy()))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.unknowns import UnknownSet
-
-if TYPE_CHECKING:
-    import torch
 
 SCHEMA = 3
 WEIGHTS, ARCHITECTURE = "model.safetensors", "model.json"
@@ -64,15 +60,21 @@ def load_model(folder: Path) -> IdentifiedModel:
         numbers = load_file(folder / WEIGHTS)
         parameters = numbers["parameters"]
         theta = numbers.get("theta", parameters.new_zeros(0))
-        laws = _read_laws(description.get("laws"), theta)
-        if parameters.shape != (len(model.scale), model.n_parameters):
-            raise ValueError(f"{tuple(parameters.shape)} numbers do not fit the architecture")
-        if parameters.dtype != torch.float64 or not parameters.isfinite().all():
-            raise ValueError("the numbers are not finite and of double precision")
-        if len(model.scale) not in (1, len(nodes)) or any(len(row) != len(model.unknowns) for row in model.scale):
-            raise ValueError("scale does not fit the bearings and unknowns")
-        if expansion.shape != (len(nodes), len(COEFFICIENTS), len(model.unknowns)):
-            raise ValueError("expansion does not fit the bearings and unknowns")
+        laws = LawSet.from_record(description["laws"]) if description.get("laws") else NO_LAWS
+        _require(
+            {
+                "the numbers do not fit the bearing laws": theta.shape == (len(laws.parameters),),
+                f"{tuple(parameters.shape)} numbers do not fit the architecture": parameters.shape
+                == (len(model.scale), model.n_parameters),
+                "the numbers are not finite and of double precision": bool(
+                    parameters.dtype == torch.float64 and parameters.isfinite().all() and theta.isfinite().all()
+                ),
+                "scale does not fit the bearings and unknowns": len(model.scale) in (1, len(nodes))
+                and all(len(row) == len(model.unknowns) for row in model.scale),
+                "expansion does not fit the bearings and unknowns": expansion.shape
+                == (len(nodes), len(COEFFICIENTS), len(model.unknowns)),
+            }
+        )
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
@@ -81,9 +83,8 @@ def load_model(folder: Path) -> IdentifiedModel:
     return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters, laws, theta)
 
 
-def _read_laws(record: Mapping[str, Any] | None, theta: torch.Tensor) -> LawSet:
-    """The bearing laws of a description. Raises ValueError for numbers that do not fit them."""
-    laws = LawSet.from_record(record) if record else NO_LAWS
-    if theta.shape != (len(laws.parameters),) or not theta.isfinite().all():
-        raise ValueError("the numbers do not fit the bearing laws")
-    return laws
+def _require(laws: Mapping[str, bool]) -> None:
+    """Raise ValueError with what is wrong where a law does not hold."""
+    for wrong, holds in laws.items():
+        if not holds:
+            raise ValueError(wrong)
