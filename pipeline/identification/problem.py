@@ -58,6 +58,7 @@ class OutputError(LeastSquares):
     plane_scale: float  # kg m that a weight of 1 stands for
     law: LawTerm  # what the model's outputs correct
     functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
+    n_unspent: int = 0  # how many of the weights follow no noise
 
     @property
     def measurement(self) -> Measurement:
@@ -90,8 +91,8 @@ class OutputError(LeastSquares):
 
     @property
     def n_fitted(self) -> int:
-        """How many weights are fitted: Z less the features that are not kept."""
-        return int(self.kept.sum()) + self.places.n_rest
+        """How many weights are fitted: Z less the features that are not kept, and less the unspent ones."""
+        return int(self.kept.sum()) + self.places.n_rest - self.n_unspent
 
     def fitted(self) -> torch.Tensor:
         """(Z,) bool: which weights are fitted."""

@@ -141,9 +141,9 @@ class Whitened(LeastSquares):
         import torch
 
         gradient, matrix = self.problem.normal(self.weights(y))
-        of_choices = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)
-        own = self.root.mT[:, None] @ matrix @ self.root[:, None]
-        return gradient @ self.root + of_choices * y, own + torch.diag(of_choices)
+        prior = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)  # one for numbers of the choices
+        information = self.root.mT[:, None] @ matrix @ self.root[:, None]
+        return gradient @ self.root + prior * y, information + torch.diag(prior)
 
     def loss(self, y: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""

@@ -40,18 +40,6 @@ FEWEST_SPEEDS = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Mean(OutputError):
-    """The problem in the hidden units of all networks; as many numbers count as followed the noise."""
-
-    numbers: int = 0
-
-    @property
-    def n_fitted(self) -> int:
-        """How many numbers the fit spent."""
-        return self.numbers
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class TrainedFit(OutputErrorFit):
     """The mean of the networks."""
 
@@ -151,15 +139,17 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, minimum: Minimum) -> T
         max(float((predicted - fitted_square).mean()) * before.readings.size / 4, 0.0), float(numbers.shape[-1])
     )
 
-    def make_mean(other: OutputError) -> _Mean:
-        """The mean of the networks as weights of its own basis, at the readings of ``other``."""
-        return other.of_kind(
-            _Mean,
+    def make_mean(other: OutputError) -> OutputError:
+        """The mean of the networks as weights of its own basis, at the readings of ``other``: as many count as followed
+        the noise.
+        """
+        return replace(
+            other,
             basis=basis,
             features=basis.at(other.measurement.dataset.points),
             kept=torch.ones(len(before.active), basis.n_features, dtype=torch.bool),
             precision=torch.zeros(basis.n_features, dtype=torch.float64),
-            numbers=round(spent) + before.places.n_parameters,
+            n_unspent=each.shape[-1] - round(spent) - before.places.n_parameters,
         )
 
     problem, answer = make_mean(before), each.mean(dim=0)

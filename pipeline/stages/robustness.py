@@ -54,8 +54,7 @@ def run(analysis: Analysis) -> StageOutput:
     modelled = load_modelled(config, measurement)  # read when training is over
     work = analysis.files
     answers = [training.identified(parameter).table(measurement.known) for parameter in minimum.parameters]
-    names = measurement.unknowns.by_bearing
-    rows = tabulate_starts(config.robustness.over, starts, minimum, answers, modelled, names)
+    rows = tabulate_starts(config.robustness.over, starts, minimum, answers, modelled, measurement.unknowns.by_bearing)
     summary = summarize_starts(minimum, rows)
     error = measure_unseen(config.machine, measurement, answers, modelled)
     if error is not None:

@@ -86,7 +86,7 @@ def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
     clean = clean_of(rotor_of, SHAKER)
     measurement = measured(rotor_of, clean, 0)
     found = fit_output_error(measurement, setup_of(CONFIG))
-    whole, _ = reweigh(found.problem, found.weights, found.factor, robust=False)
+    whole = reweigh(found.problem, found.weights, found.factor, robust=False)
     turned = 0
     for b, runs in enumerate(whole.readings.runs):
         import torch
@@ -105,11 +105,11 @@ def _as_if_independent(
     readings: Readings, predicted: Sequence[torch.Tensor], factor: Any = 1.0, shares: Sequence[np.ndarray] = ()
 ) -> Readings:
     """The baseline's noise counts as each reading's own."""
-    precision = []
+    precision, counted = [], tuple(shares) or (np.ones(1),) * len(predicted)
     for b, expected in enumerate(predicted):
-        deviation, share = readings.deviation(b, expected.numpy(), factor), np.asarray(shares[b] if shares else 1.0)
-        precision.append(torch.as_tensor(np.sqrt(2.0 * share) / deviation) * readings.present(b))
-    return replace(readings, precision=tuple(precision), common=())
+        deviation = readings.deviation(b, expected.numpy(), factor)
+        precision.append(torch.as_tensor(np.sqrt(2.0 * counted[b]) / deviation) * readings.present(b))
+    return replace(readings, precision=tuple(precision), common=(), shares=counted)
 
 
 @pytest.mark.slow
