@@ -25,9 +25,9 @@ from pipeline.evaluation.errors import (
 )
 from pipeline.identification.answer import conclude
 from pipeline.identification.fit import fit_sensors
+from pipeline.identification.identified import answer_of
 from pipeline.identification.linear_start import start_at
 from pipeline.identification.quality import MISMATCH
-from pipeline.identification.restored import answer_of
 from pipeline.identification.training import FitSetup, Minimum
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable

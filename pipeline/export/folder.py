@@ -22,7 +22,7 @@ from pipeline.data.operating import split_states
 from pipeline.data.tables import write_table
 from pipeline.export.coefficients import BRIEF, NAMES, Document, Exported, Number, document, list_conventions, tabulate
 from pipeline.files import write_json, write_text
-from pipeline.identification.restored import Answer
+from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.twin.at_conditions import evaluate_at, require_conditions

@@ -18,9 +18,8 @@ from pipeline.config.models import ModelConfig, model_fields
 from pipeline.data.operating import split_states
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
-from pipeline.identification.identified import Fit
+from pipeline.identification.identified import Fit, answer_of
 from pipeline.identification.quality import MISMATCH
-from pipeline.identification.restored import answer_of
 from pipeline.identification.training import FitSetup
 from pipeline.problem.measurement import Guess, Measurement
 

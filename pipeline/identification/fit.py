@@ -209,7 +209,7 @@ def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | 
     """The fit of :class:`OutputErrorLoss`, with the problem that it solved. Raises as its ``fit``."""
     from pipeline.identification.output_error_fit import fit_output_error
     from pipeline.identification.trained_fit import train_hidden
-    from pipeline.identification.trained_from_nodes import train_from_nodes
+    from pipeline.identification.trained_network import train_from_nodes
 
     output_error = fit_output_error(measurement, setup, progress)
     if output_error.minimum.outcomes[0] is Outcome.INTERRUPTED:

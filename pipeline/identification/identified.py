@@ -1,9 +1,15 @@
-"""What a fit hands on: the trained model, its uncertainty, and how well it explains the readings."""
+"""What a fit hands on: the trained model, its uncertainty, and how well it explains the readings.
+
+An answer is that model together with the measurement that it is of: what everything behind a fit takes.
+
+Legend: M members, B bearings, S speeds, U unknowns, Q parameters, Th numbers of bearing laws, N balance planes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +29,7 @@ if TYPE_CHECKING:
 
     from pipeline.identification.quality import Quality
     from pipeline.identification.uncertainty import Uncertainty
+    from pipeline.problem.measurement import Measurement
 
 
 def _no_numbers() -> torch.Tensor:
@@ -129,3 +136,44 @@ class Fit:
     def deviation(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray | None:
         """(B, S, 8) standard deviations, see :meth:`pipeline.identification.uncertainty.Uncertainty.deviation`."""
         return None if self.uncertainty is None else self.uncertainty.deviation(self.model, speeds, operating)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The trained model, and the measurement at the model parameters that the fit found; see :func:`answer_of`."""
+
+    measurement: Measurement
+    model: IdentifiedModel
+    uncertainty: Uncertainty | None  # None for a loss that states no deviations
+
+    @cached_property
+    def table(self) -> BearingTable:
+        """All eight coefficients at the points of the data."""
+        return self.model.table(self.measurement.updated_known)
+
+    def deviation(self, table: BearingTable) -> np.ndarray | None:
+        """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
+        if self.uncertainty is None:
+            return None
+        return self.uncertainty.deviation(self.model, table.speeds, table.operating)
+
+    @property
+    def tags(self) -> dict[str, str]:
+        """What records and reports know the data by."""
+        return {"data_fingerprint": self.measurement.dataset.fingerprint}
+
+    @property
+    def names(self) -> tuple[tuple[str, ...], ...]:
+        """What is identified, bearing by bearing."""
+        return self.model.unknowns.by_bearing
+
+    @property
+    def unbalance(self) -> np.ndarray | None:
+        """(N,) complex residual unbalance, kg m."""
+        return None if self.uncertainty is None else self.uncertainty.residual_unbalance
+
+
+def answer_of(measurement: Measurement, model: IdentifiedModel, uncertainty: Uncertainty | None) -> Answer:
+    """The answer of a fit to ``measurement``, which is as it was stated before."""
+    updated = measurement if uncertainty is None else measurement.update(uncertainty.parameters)
+    return Answer(updated, model, uncertainty)

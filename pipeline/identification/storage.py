@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError
-from pipeline.files import read_json, write_beside, write_json
-from pipeline.identification.identified import IdentifiedModel
+from pipeline.files import hash_file, read_json, write_beside, write_json
+from pipeline.identification.identified import Answer, IdentifiedModel, answer_of
 from pipeline.identification.model import CoefficientModel
+from pipeline.identification.uncertainty import UNCERTAINTY, load_uncertainty
 from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.problem.measurement import Measurement
 from pipeline.unknowns import UnknownSet
 
 SCHEMA = 3
@@ -88,3 +91,36 @@ def _require(laws: Mapping[str, bool]) -> None:
     for wrong, holds in laws.items():
         if not holds:
             raise ValueError(wrong)
+
+
+# --- with the measurement --------------------------------------------------------------------------------
+
+
+def load_answer(folder: Path, identify: IdentifyConfig, measurement: Measurement) -> Answer:
+    """The answer that a folder holds. Raises DataError where there is none, or where other data trained it."""
+    training, files = folder / "training.json", [folder / name for name in (WEIGHTS, ARCHITECTURE, UNCERTAINTY)]
+    about, model = read_json(training), load_model(folder)
+    stated = [[parameter.name, parameter.deviation] for parameter in measurement.parameters]
+    fitted = [[name, entry["prior_deviation"]] for name, entry in about.get("model_parameters", {}).items()]
+    nodes = measurement.rotor.bearing_nodes
+    laws = {
+        "the data at hand": about.get("data_fingerprint") == measurement.dataset.fingerprint,
+        "the model beside it": about.get("model") == " ".join(map(hash_file, files)),
+        f"the bearings at nodes {list(nodes)}": model.bearing_nodes == nodes,
+        f"the unknowns {', '.join(identify.named())}": _match(identify.unknowns_of(nodes), model.unknowns),
+        "identify.model_parameters": fitted == stated,
+    }
+    for law, holds in laws.items():
+        if not holds:
+            raise DataError(
+                f"'{training}' must belong to {law}, but it does not: run stage=train with the same overrides"
+            )
+    return answer_of(measurement, model, load_uncertainty(folder, model))
+
+
+def _match(wanted: UnknownSet, trained: UnknownSet) -> bool:
+    """Whether both have the same unknowns, in whatever order."""
+    order = [trained.names.index(name) for name in wanted.names] if set(wanted.names) == set(trained.names) else []
+    if not order or len(wanted.expansion) != len(trained.expansion):
+        return False
+    return np.array_equal(wanted.expansion, trained.expansion[..., order])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.vibration_files import to_rpm
-from pipeline.identification.restored import Answer
+from pipeline.identification.identified import Answer
 from pipeline.ingest.run_up import RunUpConfig
 from pipeline.reporting.console import say, table, warn
 from pipeline.sweep.bias import describe_bias

@@ -19,7 +19,7 @@ from pipeline.evaluation.errors import (
 )
 from pipeline.files import write_json
 from pipeline.identification.fit import loss_of
-from pipeline.identification.restored import Answer
+from pipeline.identification.identified import Answer
 from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.fit_tables import (

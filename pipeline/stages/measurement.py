@@ -13,7 +13,8 @@ from pipeline.data.vibration_files import read_measured, require_made_for, requi
 from pipeline.errors import DataError
 from pipeline.files import read_json
 from pipeline.identification.fit import loss_of
-from pipeline.identification.restored import Answer, load_answer
+from pipeline.identification.identified import Answer
+from pipeline.identification.storage import load_answer
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, list_known, load_known, require_known
 from pipeline.problem.determination import Deviations

@@ -8,7 +8,7 @@ from pipeline.config.schema import Config
 from pipeline.data.as_built import stand_on_pedestals
 from pipeline.files import read_json, write_text
 from pipeline.identification.fit import loss_of
-from pipeline.identification.restored import Answer
+from pipeline.identification.identified import Answer
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say
 from pipeline.reporting.fit_tables import list_numbers

@@ -10,9 +10,8 @@ from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
 from pipeline.files import hash_file, write_json
 from pipeline.identification.fit import fit
-from pipeline.identification.identified import Fit
+from pipeline.identification.identified import Answer, Fit, answer_of
 from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
-from pipeline.identification.restored import Answer, answer_of
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import save_uncertainty

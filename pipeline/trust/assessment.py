@@ -13,8 +13,8 @@ from pipeline.data.sensors import name_channel
 from pipeline.evaluation.errors import find_contradiction
 from pipeline.identification.fit import loss_of
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
+from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
-from pipeline.identification.restored import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.trust.evidence import Evidence, gather, leave_out_unbounded
 from pipeline.trust.judgement import judge, refuse_without_deviations

@@ -15,7 +15,7 @@ from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.data.dataset import Excitation
 from pipeline.data.vibration_files import find_speed
 from pipeline.errors import ConfigError, PipelineError
-from pipeline.identification.restored import Answer
+from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, translation_dof

@@ -31,7 +31,7 @@ from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import PipelineError
 from pipeline.files import write_json
 from pipeline.identification.fit import fit
-from pipeline.identification.restored import answer_of
+from pipeline.identification.identified import answer_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.determination import measure_sizes
