@@ -67,11 +67,11 @@ def default_setup(guess: Guess, constant: bool = False, noise: str = "stated") -
         "initial_damping": guess.damping,
     }
     network = {"width": 24, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm", "trend": True}
-    model: ModelConfig
-    if constant:
-        model = ConstantModelConfig.model_validate(shared | {"kind": "constant"})
-    else:
-        model = NetworkModelConfig.model_validate(shared | network | {"kind": "network"})
+    model: ModelConfig = (
+        ConstantModelConfig.model_validate(shared | {"kind": "constant"})
+        if constant
+        else NetworkModelConfig.model_validate(shared | network | {"kind": "network"})
+    )
     return FitSetup(
         model,
         LossConfig.model_validate({"kind": "response", "scaling": "per_speed", "regularisation": 0.0, "noise": noise}),

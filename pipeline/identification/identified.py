@@ -153,9 +153,8 @@ class Answer:
 
     def deviation(self, table: BearingTable) -> np.ndarray | None:
         """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
-        if self.uncertainty is None:
-            return None
-        return self.uncertainty.deviation(self.model, table.speeds, table.operating)
+        stated = self.uncertainty
+        return None if stated is None else stated.deviation(self.model, table.speeds, table.operating)
 
     @property
     def tags(self) -> dict[str, str]:

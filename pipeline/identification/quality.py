@@ -101,8 +101,6 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     if drift:  # runs that are conditions of their own, and do not belong to the others
         runs = zip(fit.problem.measurement.dataset.runs, drift.weights, strict=True)
         summary["inconsistent_runs"] = [run for run, weight in runs if weight < NAMED]
-    # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
-    levels = bool(drift)
     estimated = not np.allclose(fit.factor, 1.0)
     repeated = _count_repeated(fit) if estimated else 0
     # A guess of a law's number is no reading: that it was off speaks against nothing.
@@ -110,9 +108,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     # What repeats differ by is the noise itself: the rest is what the model leaves over.
     square = 2 * (value - repeated) + float(parameters.square().sum())
     freedom = 2 * (readings - repeated) + len(parameters) - fit.problem.n_fitted + told_before
-    sized = (not estimated or repeated > 0) and not levels
+    # With levels, the model's own error is common to all conditions: its size and order are no draws of a noise.
+    sized = (not estimated or repeated > 0) and not drift
     summary["mismatch"] = mismatch(
-        square if sized else None, freedom, np.nan if levels else significance, repeated if estimated else np.inf
+        square if sized else None, freedom, np.nan if drift else significance, repeated if estimated else np.inf
     )
     summary |= {name: _held_out(fit, other) for name, other in fit.start.held_out.items()}
     if estimated:
