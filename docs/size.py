@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1289,
     "problem": 1714,
-    "identification": 2686,
+    "identification": 2519,
     "evaluation": 226,
     "twin": 472,
     "balance": 653,
@@ -44,17 +44,17 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17662, 14500),
-    "files": (267, 250),
-    "classes": (328, 260),
-    "is None, is not None": (345, 420),
+    "statements of pipeline/": (17638, 14500),
+    "files": (266, 250),
+    "classes": (326, 260),
+    "is None, is not None": (341, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (45, 150),
     "bindings named by empty words": (114, 200),
     "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (661, 380),
-    "their files": (106, 75),
+    "their files": (105, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
 

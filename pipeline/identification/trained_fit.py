@@ -90,10 +90,8 @@ def train_hidden(
     every = fit.weights.repeat(count, 1, 1)
     linear = levenberg_marquardt(half, every, setup.optimizer.levenberg_marquardt, until_still())
     model, rest = problem.basis.model, linear[..., problem.places.n_coefficients :]
-    inputs, guess = (
-        model.scaled_inputs(problem.measurement.dataset.points),
-        initial_guess(setup, problem.measurement.unknowns),
-    )
+    inputs = model.scaled_inputs(problem.measurement.dataset.points)
+    guess = initial_guess(setup, problem.measurement.unknowns)
     values, _ = model.physical(problem.outputs(linear), problem.scale)
     start = start_networks(model, guess, generator, inputs, values, rest)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)

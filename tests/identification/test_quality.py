@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.stats import chi2
 
 from pipeline.identification.quality import _held_out, autocorrelation, measure_whiteness, mismatch
@@ -110,15 +109,12 @@ def test_repeats_judge_the_size_of_what_is_left_over() -> None:
 
 def held_out(predicted: complex) -> Any:
     """Two readings of 1 that were not fitted, with a noise of a tenth of what is predicted."""
-    readings = SimpleNamespace(
-        measured=[torch.ones(1, 2, 1, 1, dtype=torch.complex128)],
-        deviation=lambda b, reached, factor: 0.1 * np.abs(reached),
-        present=lambda b: torch.ones(2, 1, 1),
-    )
+    data = SimpleNamespace(n_readings=2, displacement=np.ones((2, 1, 1)), present=np.ones((2, 1)))
     problem = SimpleNamespace(
-        readings=readings,
-        predicted=lambda weights: [torch.full((1, 2, 1, 1), predicted, dtype=torch.complex128)],
-        measurement=SimpleNamespace(dataset=SimpleNamespace(n_readings=2)),
+        displacement=lambda weights: np.full((2, 1, 1), predicted),
+        measurement=SimpleNamespace(
+            dataset=data, baseline=0.0, deviation_of=lambda read, baseline, factor: 0.1 * np.abs(read)
+        ),
     )
     problem.update = lambda weights: problem
     return problem
