@@ -28,10 +28,9 @@ from pipeline.methods.method import (
     doubt,
     make_estimate,
     require_determined,
-    stack_rows,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.slopes import ReadingSlopes
+from pipeline.problem.slopes import ReadingSlopes, stack_rows
 
 
 def identify_by_kriging(

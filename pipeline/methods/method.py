@@ -211,12 +211,6 @@ def describe_unbalance(planes: tuple[int, ...], unbalance: np.ndarray) -> str:
     return f", residual unbalance {', '.join(sizes)}" if planes else ""
 
 
-def stack_rows(values: np.ndarray) -> np.ndarray:
-    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
-    flat = values.reshape(len(values), -1, *values.shape[3:])
-    return np.concatenate([flat.real, flat.imag], axis=1)
-
-
 def doubt(misfit: float | None) -> str:
     """Say that chi-square is far above what is expected; no words where it is not."""
     if misfit is None or misfit <= FAR_FROM_EXPECTED:  # NaN is not either

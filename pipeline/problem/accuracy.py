@@ -1,112 +1,162 @@
-"""Choosing runs and speeds that reach a stated accuracy, before anything is measured.
+"""Choosing runs, and the speeds or conditions to make them at, that reach a stated accuracy, before measuring.
 
-The coefficients are smooth functions of the speed, ``p_u(s) = size_u(s) (1 + sum_k z_uk f_k(s))``, and each run adds
-its Fisher information on the weights z, and on the uncertain numbers of the model, to that of the others and of the
-priors. The deviation of a coefficient at a speed follows from the inverse (Cramer-Rao). It is that of a fit of these
-functions by the output error.
+Each run adds its Fisher information in each state to that of the others and of the priors: on the numbers that are
+sought, on residual unbalance and on the uncertain numbers of the model. The deviations follow from the inverse
+(Cramer-Rao). They are those of a fit by the output error.
 
-Legend: C candidate runs, S speeds, P channels, A active unknowns, K functions, T model parameters, Z = A K + T. SI
-units.
+Coefficients are smooth functions of the speed, ``p_u(s) = size_u(s) (1 + sum_k z_uk f_k(s))``, and a state is a speed.
+Of bearing laws it is a set of operating conditions, at all speeds.
+
+Legend: T states, C candidate runs, S speeds, P channels, A active unknowns or numbers of laws, K functions, N real
+readings of a run in a state, Z columns of :meth:`pipeline.problem.slopes.ReadingSlopes.rows`. SI units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from pipeline.problem.design import exchange, unknown_sizes
+from pipeline.problem.design import exchange, list_names, unknown_sizes
+from pipeline.problem.law_information import law_rows
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least
-from pipeline.problem.slopes import ReadingSlopes
+from pipeline.problem.slopes import ReadingSlopes, invert, prior_information, stack_rows
 
 
 @dataclass(frozen=True, eq=False)
-class RunInformation:
-    """What each candidate run would tell at each speed."""
+class Candidates:
+    """What each run would tell in each state."""
 
     names: tuple[str, ...]  # A, such as "node 1 kxx"
-    functions: np.ndarray  # (S, K)
-    rows: np.ndarray  # (C, S, 2 P, Z) derivative of the readings over their noise by weights and parameters
-    n_parameters: int  # T
-    prior_deviation: float = 1e3  # of every weight, in sizes of its unknown: sets of too few runs compare, too
+    rows: np.ndarray  # (T, C, N, Z) derivative of the readings over their noise
+    prior: np.ndarray  # (Z,) information before any reading
+    slopes: np.ndarray  # (S, A, Z) relative change of what is named by the numbers; S = 1 where no speed matters
+    wanted: np.ndarray  # (A,) bool: what the accuracy is asked of
 
-    def deviation(self, runs: Sequence[int], every: int = 1) -> np.ndarray:
-        """(S, A) relative standard deviation of the unknowns at all speeds, from ``runs`` at each ``every``-th one."""
-        spread = np.linalg.inv(self._information(runs, every))
-        count, n_active = self.functions.shape[1], len(self.names)
-        blocks = np.stack([spread[a * count : (a + 1) * count, a * count : (a + 1) * count] for a in range(n_active)])
-        return np.asarray(np.sqrt(np.einsum("sk,akl,sl->sa", self.functions, blocks, self.functions, optimize=True)))
+    def deviation(self, states: Sequence[int], runs: Sequence[int]) -> np.ndarray:
+        """(S, A) relative standard deviations, from these runs in each of these states."""
+        rows = self.rows[np.ix_(list(states), list(runs))].reshape(-1, len(self.prior))
+        covariance = invert(rows.T @ rows + np.diag(self.prior))
+        return np.asarray(np.sqrt(((self.slopes @ covariance) * self.slopes).sum(axis=-1)))
 
-    def _information(self, runs: Sequence[int], every: int) -> np.ndarray:
-        """(Z, Z), of the priors too."""
-        rows = self.rows[list(runs), ::every].reshape(-1, self.rows.shape[-1])
-        prior = np.full(self.rows.shape[-1], self.prior_deviation**-2.0)
-        prior[len(prior) - self.n_parameters :] = 1.0
-        return np.asarray(rows.T @ rows + np.diag(prior))
+    def medians(self, states: Sequence[int], runs: Sequence[int]) -> dict[str, float]:
+        """Name -> relative standard deviation, median over the speed."""
+        return dict(zip(self.names, np.median(self.deviation(states, runs), axis=0).tolist(), strict=True))
 
-    def medians(self, runs: Sequence[int], every: int = 1) -> dict[str, float]:
-        """Relative standard deviation of each unknown, median over the speed."""
-        median = np.median(self.deviation(runs, every), axis=0)
-        return {name: float(value) for name, value in zip(self.names, median, strict=True)}
+    def worst(self, states: Sequence[int], runs: Sequence[int], mean_weight: float = 0.0) -> float:
+        """The largest of :meth:`medians` among the wanted ones, and so much of their mean: it decides between two
+        plans whose worst is the same.
+        """
+        medians = np.median(self.deviation(states, runs), axis=0)[self.wanted]
+        return float(medians.max() + mean_weight * medians.mean())
 
-    def worst(self, runs: Sequence[int], every: int = 1) -> float:
-        """The largest of :meth:`medians`."""
-        return max(self.medians(runs, every).values())
+    def mean_variance(self, states: Sequence[int], runs: Sequence[int]) -> float:
+        """Logarithm of the mean variance over names and speeds."""
+        return float(np.log((self.deviation(states, runs) ** 2).mean()))
 
 
-def run_information(plan: Measurement, count: int) -> RunInformation:
+def inform_coefficients(plan: Measurement, count: int, prior_deviation: float = 1e3) -> Candidates:
     """What the runs of a ``plan`` would tell of unknowns that are Chebyshev series of ``count`` terms.
 
-    A plan is simulated on the prior, which it has as known bearings; its noise is the stated one.
+    A plan is simulated on the prior, which it has as known bearings; its noise is the stated one. Every weight is known
+    beforehand to ``prior_deviation`` sizes of its unknown, so that sets of too few runs compare, too.
     """
-    dataset, unknowns = plan.dataset, plan.unknowns
-    place = np.linspace(-1.0, 1.0, len(dataset.speeds)) if len(dataset.speeds) > 1 else np.zeros(1)
+    n_speeds, active = len(plan.dataset.speeds), plan.unknowns.active
+    place = np.linspace(-1.0, 1.0, n_speeds) if n_speeds > 1 else np.zeros(1)
     functions = np.polynomial.chebyshev.chebvander(place, count - 1)
+    relative = np.einsum("ab,sk->sabk", np.eye(len(active)), functions).reshape(n_speeds, len(active), -1)
     sizes = unknown_sizes(plan)  # (M, S, U)
-    size = np.stack([sizes[m, :, u] for m, u in unknowns.active], axis=-1)
-    slopes = ReadingSlopes(plan, plan.known)
-    by_unknown = slopes.by_unknown * size[:, None, None]
-    by_weight = np.einsum("spra,sk->sprak", by_unknown, functions).reshape(*by_unknown.shape[:3], -1)
-    joined = np.sqrt(2.0) * np.concatenate([by_weight, slopes.by_model], axis=-1)
-    rows = np.concatenate([joined.real, joined.imag], axis=1)
-    nodes = ["all bearings"] if unknowns.shared else [f"node {node}" for node in plan.rotor.bearing_nodes]
-    names = tuple(f"{nodes[m]} {unknowns.names[u]}" for m, u in unknowns.active)
-    return RunInformation(names, functions, np.moveaxis(rows, 2, 0), len(plan.parameters))
+    size = np.stack([sizes[m, :, u] for m, u in active], axis=-1)
+    rows = ReadingSlopes(plan, plan.known).rows(size[..., None] * relative)
+    prior = prior_information(plan, np.full(relative.shape[-1], prior_deviation**-2.0))
+    slopes = np.pad(relative, ((0, 0), (0, 0), (0, len(prior) - relative.shape[-1])))
+    by_run = np.concatenate([rows.real, rows.imag], axis=1).swapaxes(1, 2)
+    return Candidates(list_names(plan), by_run, prior, slopes, np.ones(len(active), dtype=bool))
+
+
+def inform_numbers(plans: Sequence[Measurement], wanted: Sequence[str]) -> Candidates:
+    """What the runs would tell of the numbers of bearing laws, which are the same in all ``plans``, one a state."""
+    numbers = plans[0].laws.parameters
+    rows = np.stack([stack_rows(np.moveaxis(law_rows(plan), 2, 0)) for plan in plans])
+    prior = prior_information(plans[0], np.array([number.deviation**-2 for number in numbers]))
+    names = tuple(number.name for number in numbers)
+    slopes = np.eye(len(names), len(prior))[None]
+    return Candidates(names, rows, prior, slopes, np.array([name in wanted for name in names]))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Runs (indices), every how many of the speeds, and whether that is accurate enough."""
+    """States and runs (indices), and the worst deviation with them."""
 
+    states: tuple[int, ...]
     runs: tuple[int, ...]
-    every: int
-    reached: bool
+    worst: float
+
+    @property
+    def every(self) -> int:
+        """Every how many of the states, where they are evenly spaced."""
+        return self.states[1] - self.states[0] if len(self.states) > 1 else 1
 
 
-def reach(information: RunInformation, accuracy: float, most_runs: int, steps: Sequence[int]) -> Plan:
+_Merit = Callable[[Sequence[int], Sequence[int]], float]
+"""What sets of runs are sought by, of states and runs: smaller is better."""
+
+
+def _choose_runs(
+    candidates: Candidates, states: Sequence[int], most: int, accuracy: float, merits: Sequence[_Merit]
+) -> Plan:
+    """The fewest runs in these states whose worst deviation is within the ``accuracy``; else the best of ``most``."""
+    n_runs, plan = candidates.rows.shape[1], Plan(tuple(states), (), np.inf)
+    for count in range(1, min(most, n_runs) + 1):
+        sets = [exchange(partial(merit, states), n_runs, count) for merit in merits]
+        runs = find_least({tried: candidates.worst(states, tried) for tried in sets})
+        plan = Plan(plan.states, runs, candidates.worst(states, runs))
+        if plan.worst <= accuracy:
+            break
+    return plan
+
+
+def plan_speeds(candidates: Candidates, accuracy: float, most_runs: int, steps: Sequence[int]) -> Plan:
     """The fewest runs, then the fewest speeds, whose worst unknown is known to ``accuracy``, median over the speed.
 
     Sets are sought by the mean variance, which leads there, and by the worst unknown, which is asked for.
     ``steps`` are ascending: each so many-th speed is measured. Where the accuracy can't be reached, the best of
     ``most_runs`` at all speeds.
     """
-    runs: tuple[int, ...] = ()
-    for count in range(1, min(most_runs, len(information.rows)) + 1):
-        every_way = (partial(_merit, information), information.worst)
-        sets = [exchange(merit, len(information.rows), count) for merit in every_way]
-        runs = find_least({runs_tried: information.worst(runs_tried) for runs_tried in sets})
-        if information.worst(runs) <= accuracy:
-            enough = [every for every in steps if information.worst(runs, every) <= accuracy]
-            return Plan(runs, max(enough, default=1), True)
-    return Plan(runs, 1, False)
+    n_speeds, merits = len(candidates.rows), (candidates.mean_variance, candidates.worst)
+    best = _choose_runs(candidates, range(n_speeds), most_runs, accuracy, merits)
+    for every in steps if best.worst <= accuracy else ():
+        states = tuple(range(0, n_speeds, every))
+        if (worst := candidates.worst(states, best.runs)) <= accuracy:
+            best = Plan(states, best.runs, worst)
+    return best
 
 
-def _merit(information: RunInformation, runs: Sequence[int]) -> float:
-    """Logarithm of the mean variance over unknowns and speeds."""
-    return float(np.log((information.deviation(runs) ** 2).mean()))
+def plan_states(candidates: Candidates, most_runs: int, accuracy: float) -> list[Plan]:
+    """The best plan of one state, of two, ... until one reaches the ``accuracy``, with the fewest runs that do.
+
+    States are chosen with all candidate runs, runs for these states.
+    """
+    merit, plans = partial(candidates.worst, mean_weight=1e-3), list[Plan]()
+    for count in range(1, len(candidates.rows) + 1):
+        states = _choose_states(candidates, count, merit)
+        plans.append(_choose_runs(candidates, states, most_runs, accuracy, [merit]))
+        if plans[-1].worst <= accuracy:
+            break
+    return plans
+
+
+def _choose_states(candidates: Candidates, count: int, merit: _Merit, most_sets: int = 2000) -> tuple[int, ...]:
+    """The best states; of more than ``most_sets`` sets not each is tried, but single states are exchanged."""
+    n_states, n_runs = candidates.rows.shape[:2]
+    sets = list(itertools.islice(itertools.combinations(range(n_states), count), most_sets + 1))
+    if len(sets) > most_sets:
+        return exchange(lambda states: merit(states, range(n_runs)), n_states, count)
+    return find_least({states: merit(states, range(n_runs)) for states in sets})
 
 
 def scale_to_limits(displacement: np.ndarray, limits: np.ndarray) -> np.ndarray:

@@ -116,6 +116,12 @@ def simulate_deviations(plan: Measurement, count: int, generator: np.random.Gene
 
 
 def _medians(plan: Measurement, deviation: np.ndarray) -> dict[str, float]:
-    relative, unknowns = deviation / unknown_sizes(plan), plan.unknowns
+    medians = np.median(deviation / unknown_sizes(plan), axis=1)
+    return {name: float(medians[place]) for name, place in zip(list_names(plan), plan.unknowns.active, strict=True)}
+
+
+def list_names(plan: Measurement) -> tuple[str, ...]:
+    """(A,) what the active unknowns are called, such as ``node 1 kxx``."""
+    unknowns = plan.unknowns
     nodes = ["all bearings"] if unknowns.shared else [f"node {node}" for node in plan.rotor.bearing_nodes]
-    return {f"{nodes[m]} {unknowns.names[u]}": float(np.median(relative[m, :, u])) for m, u in unknowns.active}
+    return tuple(f"{nodes[m]} {unknowns.names[u]}" for m, u in unknowns.active)

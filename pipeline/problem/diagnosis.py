@@ -5,7 +5,8 @@ sensors tell the forces at the bearings, the two say the same. Where they do not
 sensors and are judged together. Neighbouring speeds then help each other as far as the coefficients are smooth
 functions of the speed, and the deviation of the whole parametrisation tells how far. No modelled coefficient is read.
 
-Legend: S speeds, P channels, R runs, B bearings, M members, U unknowns, A those of them that members have, K features.
+Legend: S speeds, P channels, R runs, B bearings, M members, U unknowns, A those of them that members have, K features,
+T model parameters.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.ranking import rank
 from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
-from pipeline.problem.slopes import ReadingSlopes
+from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
@@ -124,9 +125,8 @@ def sensor_rows(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
     values = np.repeat((measurement.guess.sizes(unknowns) * shape)[:, None], len(measurement.dataset.speeds), axis=1)
     size = np.stack([values[m, :, u] for m, u in unknowns.active], axis=-1)
-    rows = np.sqrt(2.0) * ReadingSlopes(measurement, measurement.table(values)).by_unknown * size[:, None, None]
-    flat = rows.reshape(len(rows), -1, rows.shape[-1])
-    return np.concatenate([flat.real, flat.imag], axis=1), values
+    slopes = ReadingSlopes(measurement, measurement.table(values)).by_unknown
+    return stack_rows(np.sqrt(2.0) * slopes * size[:, None, None]), values
 
 
 def determines(rows: np.ndarray) -> bool:
@@ -210,3 +210,40 @@ def _judge_few_sensors(
         f"not {'one of them' if len(unknown) == wanted else ', '.join(unknown)}; add sensors, a run of another whirl "
         "or frequency, or a structure (identify.structure)",
     )
+
+
+# --- what tolerances do --------------------------------------------------------------------------------
+
+
+def systematic_shifts(measurement: Measurement, bearings: BearingTable) -> np.ndarray | None:
+    """(S, A, T) error of each active unknown, N/m and N s/m, where the machine is one prior deviation off.
+
+    At one speed, weighted least squares takes a wrong model for other coefficients. Where the readings of a machine
+    that is not as stated differ by ``V``, and move by ``J`` with the unknowns, both over the noise, the unknowns move
+    by ``(J'J)^-1 J'V``. A fit over all speeds shares what is smooth over the speed, and a model error is: it moves by
+    about as much. ``bearings`` are the best at hand. None where a speed by itself does not determine the unknowns.
+    """
+    linear = ReadingSlopes(measurement, bearings)
+    unknown, model = stack_rows(linear.by_unknown), stack_rows(linear.by_model)
+    size = np.linalg.norm(unknown, axis=1, keepdims=True)
+    if unknown.shape[1] < unknown.shape[2] or not size.all():
+        return None
+    return np.asarray(np.linalg.pinv(unknown / size) @ model / size.swapaxes(1, 2))
+
+
+def budget_percent(measurement: Measurement, bearings: BearingTable) -> dict[str, np.ndarray] | None:
+    """Kind of parameter -> (A,) percent of the coefficient, the median over the speed: what its tolerance does to it,
+    beside the deviations.
+
+    Parameters of one kind are independent: their squares add. None as :func:`systematic_shifts`.
+    """
+    shifts = systematic_shifts(measurement, bearings)
+    if shifts is None:
+        return None
+    values = measurement.unknowns.leading(bearings.values)  # (M, S, U)
+    sizes = np.stack([values[m, :, u] for m, u in measurement.unknowns.active], axis=-1)  # (S, A)
+    kinds = np.array([parameter.kind for parameter in measurement.parameters])
+    return {
+        kind: 100 * np.median(np.sqrt((shifts[..., kinds == kind] ** 2).sum(axis=-1)) / np.abs(sizes), axis=0)
+        for kind in dict.fromkeys(kinds.tolist())
+    }

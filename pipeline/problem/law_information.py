@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from pipeline.laws.law_set import LawSet
 from pipeline.laws.numbers import OIL_TEMPERATURE, LawParameter
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank, rank_indices
-from pipeline.problem.slopes import ReadingSlopes
+from pipeline.problem.slopes import ReadingSlopes, invert, prior_information
 from pipeline.rotor.bearing_table import BearingTable
 
 FURTHER = 15.0
@@ -33,37 +32,17 @@ FURTHER = 15.0
 
 @dataclass(frozen=True, eq=False)
 class LawInformation:
-    """What readings tell of theta, and the priors."""
+    """What is known of theta with the readings and the priors."""
 
     parameters: tuple[LawParameter, ...]  # Th
-    readings: np.ndarray  # (Z, Z) information of the readings
-    n_parameters: int  # T
+    covariance: np.ndarray  # (Th, Th) of theta
     untold: float = 0.5  # share of its prior deviation, from which on a number is not told by the data
     leading: float = 0.2  # share in a combination, below which a number is not named
 
-    def plus(self, readings: np.ndarray) -> LawInformation:
-        """With the information (Z, Z) of more readings."""
-        return replace(self, readings=self.readings + readings)
-
-    def alone(self) -> LawInformation:
-        """The priors without any reading."""
-        return replace(self, readings=np.zeros_like(self.readings))
-
-    @cached_property
+    @property
     def prior(self) -> np.ndarray:
         """(Th,) deviations before the data."""
         return np.array([parameter.deviation for parameter in self.parameters])
-
-    @cached_property
-    def covariance(self) -> np.ndarray:
-        """(Th, Th) of theta, with the priors."""
-        count = len(self.parameters)
-        between = len(self.readings) - count - self.n_parameters
-        whole = self.readings + np.diag([*self.prior**-2, *[0.0] * between, *[1.0] * self.n_parameters])
-        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-        return np.asarray(np.linalg.pinv(whole / np.outer(size, size), hermitian=True) / np.outer(size, size))[
-            :count, :count
-        ]
 
     @property
     def deviation(self) -> np.ndarray:
@@ -108,47 +87,46 @@ def _choose_leaders(directions: np.ndarray) -> list[int]:
     return sorted(chosen)
 
 
-def inform(measurement: Measurement) -> LawInformation:
-    """What the readings tell of the numbers of the laws. Raises DataError for a condition that is missing."""
-    laws, rows = _laws_of(measurement), law_rows(measurement)
-    return LawInformation(laws.parameters, add_rows(rows), len(measurement.parameters))
-
-
-def add_rows(rows: np.ndarray) -> np.ndarray:
-    """(Z, Z) information of rows (.., Z) complex."""
-    flat = rows.reshape(-1, rows.shape[-1])
-    return np.asarray((flat.conj().T @ flat).real)
+def inform(*measurements: Measurement) -> LawInformation:
+    """What all readings tell of the numbers of the laws. Raises DataError for a condition that is missing."""
+    numbers, every = measurements[0].laws.parameters, [law_rows(measurement) for measurement in measurements]
+    rows = np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in every])
+    prior = prior_information(measurements[0], np.array([number.deviation**-2 for number in numbers]))
+    covariance = invert((rows.conj().T @ rows).real + np.diag(prior))
+    return LawInformation(numbers, covariance[: len(numbers), : len(numbers)])
 
 
 def law_rows(measurement: Measurement) -> np.ndarray:
     """(S, P, R, Z) complex derivative of the readings over their noise."""
-    values, slopes = _evaluate(measurement)
-    readings = ReadingSlopes(measurement, measurement.table(values))
-    active = np.stack([slopes[m, :, u] for m, u in measurement.unknowns.active], axis=1)  # (S, A, Th)
-    by_number, by_plane = np.einsum("spra,sat->sprt", readings.by_unknown, active), readings.by_unbalance
-    return np.asarray(np.sqrt(2.0) * np.concatenate([by_number, by_plane, 1j * by_plane, readings.by_model], axis=-1))
+    data, unknowns = measurement.dataset, measurement.unknowns
+    values, slopes = _evaluate(measurement.laws, data.speeds, data.operating)
+    leaders = [COEFFICIENTS.index(name) for name in unknowns.names]
+    active = np.stack([slopes[m, :, leaders[u]] for m, u in unknowns.active], axis=1)  # (S, A, Th)
+    return ReadingSlopes(measurement, measurement.table(unknowns.leading(values))).rows(active)
+
+
+def _evaluate(laws: LawSet, speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(B, S, 8) coefficients of the laws at their guesses, and (B, S, 8, Th) slopes by theta."""
+    import torch
+
+    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
+    values, slopes = laws.coefficients(theta, speeds, operating)
+    return values[0].numpy(), slopes[0].numpy()
 
 
 def guess_table(laws: LawSet, speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> BearingTable:
     """The coefficients of the laws at their guesses, at ``speeds`` (S,) rad/s and ``operating`` conditions (S,)."""
-    import torch
-
-    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
-    values = laws.coefficients(theta, speeds, operating)[0][0].numpy()
-    return BearingTable(laws.nodes, speeds, values, dict(operating))
+    return BearingTable(laws.nodes, speeds, _evaluate(laws, speeds, operating)[0], dict(operating))
 
 
 def at_state(measurement: Measurement, operating: Mapping[str, np.ndarray]) -> Measurement:
     """The same runs at other ``operating`` conditions (S,), read as the laws at their guesses foretell."""
     data = replace(measurement.dataset, operating=dict(operating))
-    known = replace(measurement.known, operating=dict(operating))
-    measured = replace(measurement, dataset=data, known=known)
-    vars(measured)["response"] = measurement.response
-    shown = measurement.response.predict(measured.table(_evaluate(measured)[0]))
-    shown = np.where(data.present[:, None], shown, 0.0)
-    measured = replace(measured, dataset=replace(data, displacement=shown))
-    vars(measured)["response"] = measurement.response
-    return measured
+    known, response = replace(measurement.known, operating=dict(operating)), measurement.response
+    values = guess_table(measurement.laws, data.speeds, operating).values
+    bearings = known.with_unknowns(measurement.unknowns, measurement.unknowns.leading(values))
+    shown = np.where(data.present[:, None], response.predict(bearings), 0.0)
+    return replace(measurement, dataset=replace(data, displacement=shown), known=known, solved=response)
 
 
 def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | None:
@@ -157,14 +135,14 @@ def try_warmer(measurement: Measurement) -> tuple[np.ndarray, LawInformation] | 
     The readings of the warmest state are repeated :data:`FURTHER` above it.
     """
     data = measurement.dataset
-    if OIL_TEMPERATURE not in _laws_of(measurement).inputs:
+    if OIL_TEMPERATURE not in measurement.laws.inputs:
         return None
     lines = [points for _, points in split_states(data.speeds, data.operating)]
     points = np.sort(max(lines, key=lambda line: float(data.operating[OIL_TEMPERATURE][line].mean())))
     warmest = measurement.select(points)
     warmer = warmest.dataset.operating[OIL_TEMPERATURE] + FURTHER
-    more = law_rows(at_state(warmest, {**warmest.dataset.operating, OIL_TEMPERATURE: warmer}))
-    return warmer, inform(measurement).plus(add_rows(more))
+    more = at_state(warmest, {**warmest.dataset.operating, OIL_TEMPERATURE: warmer})
+    return warmer, inform(measurement, more)
 
 
 def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same_oil: float = 0.01) -> None:
@@ -192,22 +170,6 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same
         f"oil temperature, {FURTHER:g} K apart, or give {names[-1]} in machine.laws as a known number (force=true fits "
         "all the same, and leaves to the guess what the data do not tell)"
     )
-
-
-def _laws_of(measurement: Measurement) -> LawSet:
-    assert measurement.laws
-    return measurement.laws
-
-
-def _evaluate(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """(M, S, U) unknowns of the laws at their guesses, and (M, S, U, Th) slopes by theta."""
-    import torch
-
-    laws, data = _laws_of(measurement), measurement.dataset
-    theta = torch.zeros(1, len(laws.parameters), dtype=torch.float64)
-    values, slopes = laws.coefficients(theta, data.speeds, data.operating)
-    leaders = [COEFFICIENTS.index(name) for name in measurement.unknowns.names]
-    return values[0].numpy()[..., leaders], slopes[0].numpy()[..., leaders, :]
 
 
 def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:

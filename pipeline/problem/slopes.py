@@ -53,5 +53,36 @@ class ReadingSlopes:
             slopes[:, :, block.runs] += derive_by_parameters(variation, respond(block, change), change[None], None)[0]
         return self._over_noise(slopes)
 
+    def rows(self, by_number: np.ndarray) -> np.ndarray:
+        """(S, P, R, Z) complex rows of unit variance in each part: by numbers that the unknowns follow from, by both
+        parts of each residual unbalance, by the model parameters.
+
+        ``by_number`` (S, A, n) is the derivative of the active unknowns by the numbers; Z = n + 2 N + T.
+        """
+        first, by_plane = np.einsum("spra,san->sprn", self.by_unknown, by_number, optimize=True), self.by_unbalance
+        return np.asarray(np.sqrt(2.0) * np.concatenate([first, by_plane, 1j * by_plane, self.by_model], axis=-1))
+
     def _over_noise(self, slopes: np.ndarray) -> np.ndarray:
         return np.asarray(slopes / self.measurement.deviation[..., None])
+
+
+def stack_rows(values: np.ndarray) -> np.ndarray:
+    """Complex numbers (S, P, R, ..) as rows of each speed (S, 2 P R, ..): real parts, then imaginary ones."""
+    flat = values.reshape(len(values), -1, *values.shape[3:])
+    return np.concatenate([flat.real, flat.imag], axis=1)
+
+
+def prior_information(measurement: Measurement, of_numbers: np.ndarray) -> np.ndarray:
+    """(Z,) information before any reading on what :meth:`ReadingSlopes.rows` are derivatives by: ``of_numbers`` (n,),
+    none on residual unbalance, that of unit deviations on the model parameters.
+    """
+    nothing, unit = np.zeros(2 * len(measurement.unknowns.planes)), np.ones(len(measurement.parameters))
+    return np.concatenate([of_numbers, nothing, unit])
+
+
+def invert(information: np.ndarray) -> np.ndarray:
+    """(Z, Z) covariance, whatever the sizes of the numbers; large where nothing is known."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    inverse = vectors / np.maximum(values, 10 * np.finfo(float).eps) @ vectors.T
+    return np.asarray(inverse / np.outer(size, size))

@@ -13,7 +13,8 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.operating import name_state
-from pipeline.problem.law_design import LawCandidates, LawPlan, State
+from pipeline.problem.accuracy import Candidates, Plan
+from pipeline.problem.planning import State
 from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table
 
@@ -91,14 +92,13 @@ def print_reached(
 
 
 def summarize_states(
-    candidates: LawCandidates, plans: Sequence[LawPlan], best: LawPlan, states: Sequence[State], accuracy: float
+    candidates: Candidates, plans: Sequence[Plan], best: Plan, states: Sequence[State], accuracy: float
 ) -> dict[str, object]:
     """What ``design.json`` has."""
-    known = zip(candidates.nothing.parameters, candidates.with_runs(best.states, best.runs).deviation, strict=True)
     return {
         "accuracy": accuracy,
         "reached": best.worst <= accuracy,
-        "predicted": {parameter.name: float(deviation) for parameter, deviation in known},
+        "predicted": candidates.medians(best.states, best.runs),
         "states": [dict(states[t]) for t in best.states],
         "by_number_of_states": [
             {"states": [name_state(states[t]) for t in plan.states], "runs": len(plan.runs), "worst": plan.worst}
@@ -110,9 +110,9 @@ def summarize_states(
 def print_states(
     name: str,
     noise: str,
-    candidates: LawCandidates,
-    plans: Sequence[LawPlan],
-    best: LawPlan,
+    candidates: Candidates,
+    plans: Sequence[Plan],
+    best: Plan,
     states: Sequence[State],
     accuracy: float,
 ) -> None:
@@ -125,15 +125,15 @@ def print_states(
         ["states", "which", "runs", "worst, %"],
         rows,
     )
-    columns = (candidates.nothing.deviation, candidates.with_runs(best.states, best.runs).deviation, candidates.wanted)
+    nothing, known = candidates.medians((), ()), candidates.medians(best.states, best.runs)
     rows = [
         [
-            parameter.name,
-            f"{100 * before:.2g}",
+            number,
+            f"{100 * nothing[number]:.2g}",
             f"{100 * after:.2g}",
             "" if after <= accuracy else "not reached" if wanted else "not asked",
         ]
-        for parameter, before, after, wanted in zip(candidates.nothing.parameters, *columns, strict=True)
+        for (number, after), wanted in zip(known.items(), candidates.wanted, strict=True)
     ]
     table(
         f"{name}: numbers of the bearing laws with {runs} at {where}",

@@ -8,13 +8,12 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import make_laws
-from pipeline.problem.law_design import clearances_of, guess_at, inform_candidates, list_states, plan_by_states
-from pipeline.problem.planning import Designer, Planner, list_clearances, list_possible
+from pipeline.problem.accuracy import plan_states
+from pipeline.problem.planning import list_states, plan_coefficients, plan_numbers, reach
 from pipeline.problem.ranking import find_least
 from pipeline.reporting.design_tables import Runs, override_states, print_reached, print_states, summarize_states
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.parameters import OF_WEIGHT
-from pipeline.rotor.stored import load_modelled_bearings
 from pipeline.stages.before_fit import describe_noise
 
 Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object], str]
@@ -23,19 +22,16 @@ Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object],
 
 def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
     """The runs and speeds that bring every coefficient to ``design.accuracy``."""
-    machine, accuracy = config.machine, config.design.accuracy or 0.0
-    prior = load_modelled_bearings(machine.rotor, machine.bearings, machine.speeds.rad_s())
-    planner = Planner(config, rotor, list_clearances(config, rotor))
-    allowed = planner.limit(list_possible(config, rotor), prior)
-    best, predicted, cures = Designer(planner, prior, allowed).reach(accuracy)
-    chosen = [allowed[c] for c in best.runs]
+    machine, accuracy, planner = config.machine, config.design.accuracy or 0.0, plan_coefficients(config, rotor)
+    best, predicted, cures = reach(planner, accuracy)
+    chosen = [planner.allowed[c] for c in best.runs]
     speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
     print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
     kinds = [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
     without = "".join(f" identify.model_parameters.{kind}=null" for kind in kinds)
-    numbers = {"accuracy": accuracy, "reached": best.reached, "predicted": predicted, "cures": cures}
+    numbers = {"accuracy": accuracy, "reached": best.worst <= accuracy, "predicted": predicted, "cures": cures}
     return chosen, speeds, numbers | {"speeds": speeds.model_dump()}, {"predicted": predicted}, without
 
 
@@ -49,13 +45,11 @@ def reach_numbers(config: Config, rotor: RotorModel) -> Designed:
             "another model"
         )
     laws = make_laws(machine.laws, rotor.bearing_nodes)
-    states, planner = list_states(config, laws), Planner(config, rotor, clearances_of(laws))
-    tables = [guess_at(config, laws, state) for state in states]
-    allowed = planner.limit(list_possible(config, rotor), *tables)
-    candidates = inform_candidates(planner, laws, allowed, tables)
-    plans = plan_by_states(candidates, len(states), config.design.runs, accuracy)
+    states = list_states(config, laws)
+    planner, candidates = plan_numbers(config, rotor, laws, states)
+    plans = plan_states(candidates, config.design.runs, accuracy)
     best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
     print_states(config.name, describe_noise(config), candidates, plans, best, states, accuracy)
     summary = summarize_states(candidates, plans, best, states, accuracy)
     overrides = override_states([states[t] for t in best.states])
-    return [allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides
+    return [planner.allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides

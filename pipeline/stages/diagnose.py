@@ -9,8 +9,8 @@ from pipeline.files import write_json
 from pipeline.identification.combinations import combine
 from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
-from pipeline.problem.budget import budget_percent
 from pipeline.problem.determination import summarize_determined
+from pipeline.problem.diagnosis import budget_percent
 from pipeline.problem.identifiability import Solvability
 from pipeline.reporting.console import say
 from pipeline.reporting.diagnosis import (

@@ -9,8 +9,9 @@ from comparing import composed, errors, options, task
 from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
 from pipeline.identification.training import FitSetup
-from pipeline.methods.method import Estimate, stack_rows
+from pipeline.methods.method import Estimate
 from pipeline.methods.spline import _spread, differentiate, enlarge, identify_by_spline, make_basis, pose
+from pipeline.problem.slopes import stack_rows
 
 FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing", "machine.speeds.step_rpm=100")

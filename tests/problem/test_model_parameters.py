@@ -15,7 +15,7 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.errors import ConfigError
 from pipeline.identification.readings import sensor_model
-from pipeline.problem.budget import systematic_shifts
+from pipeline.problem.diagnosis import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, impedance_change, respond
