@@ -12,7 +12,7 @@ T model parameters.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -159,9 +159,10 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
         free=least,
         verdict=verdict,
         reason=reason,
+        orbit_rank=np.full(len(rank), np.nan),
+        orbit_condition=np.full(len(rank), np.nan),
+        together="which share their coefficients" if unknowns.shared else "seen by the same sensors",
     )
-    if unknowns.n_members > 1:
-        report = replace(report, together="seen by the same sensors")
     return Diagnosis((report,), measurement.table(values), unknowns.expand_deviation(spread), by_least_squares=False)
 
 

@@ -40,7 +40,8 @@ class Identifiability:
     free: np.ndarray  # (S, U) the combination that the data determine least, in shares of the bearing force
     verdict: Solvability
     reason: str  # why not, and what to add; empty where identifiable
-    orbits: tuple[np.ndarray, np.ndarray] | None = None  # rank, of 2, and condition number (S,); None where unknown
+    orbit_rank: np.ndarray  # (S,) how many orbits of the runs are independent, of 2; NaN where no motion is known
+    orbit_condition: np.ndarray  # (S,) condition number of the orbits; NaN likewise
     together: str = "which share their coefficients"  # why several bearings are judged together
 
     @property
@@ -52,16 +53,6 @@ class Identifiability:
     def condition(self) -> np.ndarray:
         """(S,) condition number of the unknowns."""
         return condition_number(self.singular_values)
-
-    @property
-    def orbit_rank(self) -> np.ndarray:
-        """(S,) how many orbits of the runs are independent, of 2; NaN where the bearings' motion is not known."""
-        return np.full(len(self.speeds), np.nan) if self.orbits is None else self.orbits[0]
-
-    @property
-    def orbit_condition(self) -> np.ndarray:
-        """(S,) condition number of the orbits; NaN where the bearings' motion is not known."""
-        return np.full(len(self.speeds), np.nan) if self.orbits is None else self.orbits[1]
 
     @property
     def where(self) -> str:
@@ -131,7 +122,8 @@ def _judge(
         free=free,
         verdict=verdict,
         reason=reason,
-        orbits=(orbit_rank, orbit_condition),
+        orbit_rank=orbit_rank,
+        orbit_condition=orbit_condition,
     )
 
 

@@ -60,10 +60,11 @@ class Measurement:
     drift: ConditionNoise = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
     laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
     solved: InitVar[ResponseEquations | None] = None  # :attr:`response`, where it is at hand
+    weighed: InitVar[np.ndarray | None] = None  # :attr:`deviation`, where it is not to follow from ``noise``
 
-    def __post_init__(self, solved: ResponseEquations | None) -> None:
-        if solved is not None:
-            vars(self)["response"] = solved
+    def __post_init__(self, solved: ResponseEquations | None, weighed: np.ndarray | None) -> None:
+        at_hand = {"response": solved, "deviation": weighed}
+        vars(self).update({name: value for name, value in at_hand.items() if value is not None})
 
     @classmethod
     def read(

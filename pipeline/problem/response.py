@@ -62,17 +62,11 @@ class ResponseBlock:
 
     def at(self, keep: np.ndarray, runs: np.ndarray) -> ResponseBlock:
         """The same at the speeds ``keep`` (mask or index), for those of the ``runs`` that it has, numbered anew."""
-        mine = np.isin(self.runs, runs)
-        selected = self.converted(lambda array: array[keep])
-        return replace(
-            selected,
-            runs=np.searchsorted(runs, self.runs[mine]),
-            forced_sensors=selected.forced_sensors[..., mine],
-            forced_bearings=selected.forced_bearings[..., mine],
-        )
+        selected = self.of_runs(np.isin(self.runs, runs)).converted(lambda array: array[keep])
+        return replace(selected, runs=np.searchsorted(runs, selected.runs))
 
     def of_runs(self, at: np.ndarray) -> ResponseBlock:
-        """The same with the runs ``at`` these places alone."""
+        """The same with the runs ``at`` these places (mask or index) alone."""
         sensors, bearings = self.forced_sensors[..., at], self.forced_bearings[..., at]
         return replace(self, runs=self.runs[at], forced_sensors=sensors, forced_bearings=bearings)
 

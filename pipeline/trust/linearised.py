@@ -38,7 +38,7 @@ class LinearisedFit:
     @cached_property
     def normal(self) -> np.ndarray:
         """N, (Z, Z) of the fitted readings and the priors."""
-        return _cross(self.seen, self.seen) + self.prior
+        return cross(self.seen, self.seen) + self.prior
 
     @cached_property
     def right(self) -> np.ndarray:
@@ -63,8 +63,12 @@ class LinearisedFit:
         """
         step = self._without(mask) - self.solve(self.right)
         spread = np.linalg.inv(self._information(mask)) - np.linalg.inv(self._information(None))
-        variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, spread, self.coefficients, optimize=True)
-        return self.coefficients @ step, np.sqrt(np.maximum(variance, 0.0))
+        return self.coefficients @ step, self.deviate(spread)
+
+    def deviate(self, covariance: np.ndarray) -> np.ndarray:
+        """(B, S, 8) standard deviations of the coefficients, from a ``covariance`` (Z, Z) of the weights."""
+        variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, covariance, self.coefficients, optimize=True)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def predict_without(self, mask: np.ndarray) -> float:
         """Mean square error of the readings of ``mask``, predicted from the others, over what noise explains."""
@@ -84,10 +88,10 @@ class LinearisedFit:
         if without is None:
             return self.normal
         left_out = without[..., None] * self.seen
-        return self.normal - _cross(left_out, left_out)
+        return self.normal - cross(left_out, left_out)
 
 
-def _cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
     """``2 Re A^H B`` of (S, P, R, ..)."""
     return np.asarray(2.0 * np.einsum("sprz,sprt->zt", rows.conj(), others, optimize=True).real)
 

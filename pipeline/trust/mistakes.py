@@ -51,7 +51,6 @@ class Depth:
 
     speeds: int
     terms: int  # of each coefficient's function of the speed
-    rounds: int = 12
 
 
 def find_mistakes(
@@ -60,7 +59,7 @@ def find_mistakes(
     constant: bool = False,
     probes: Sequence[Probe] = (),
     *,
-    first: Depth = Depth(16, 3, 6),
+    first: Depth = Depth(16, 3),
     last: Depth = Depth(40, 5),
     refined: int = 8,
     falls_by: float = 3.0,
@@ -107,7 +106,7 @@ def find_mistakes(
 def _order(trial: tuple[Mistake, QuickFit], frees: float = 1.2) -> float:
     """A mistake without a free number is named before one with, where they leave about as much."""
     mistake, fit = trial
-    return fit.mean_square * (frees if mistake.frees else 1.0)
+    return fit.mean_square * (frees if mistake.free else 1.0)
 
 
 def list_mistakes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
@@ -124,35 +123,34 @@ class _Trial:
     def __init__(self, measurement: Measurement, values: np.ndarray, depth: Depth) -> None:
         count = len(measurement.dataset.speeds)
         keep = np.unique(np.linspace(0, count - 1, min(count, depth.speeds)).round().astype(int))
-        self.part, self.start, self.rounds = measurement.select(keep), values[:, keep], depth.rounds
+        self.part, self.start = measurement.select(keep), values[:, keep]
         self.terms = min(depth.terms, len(keep))
         self.fits: list[QuickFit] = []
 
     def fit_as_stated(self) -> QuickFit:
         """What the readings leave over as they are."""
-        return quick_fit(self.part, self.start, self.terms)
+        return quick_fit(self.part, [self.start], self.terms)
 
     def fit(self, mistake: Mistake) -> QuickFit:
         """What the readings leave over without the mistake, its penalty included; from the best one, too."""
         begins = [self.start]
-        if mistake.frees and self.fits:
+        if mistake.free and self.fits:
             begins.append(min(self.fits, key=lambda fitted: fitted.mean_square).values)
-        fits = [quick_fit(mistake.measurement, begin, self.terms, mistake.extra, self.rounds) for begin in begins]
-        best = min(fits, key=lambda fitted: fitted.mean_square)
+        best = quick_fit(mistake.measurement, begins, self.terms, mistake.free)
         self.fits.append(replace(best, mean_square=best.mean_square * mistake.penalty))
         return self.fits[-1]
 
 
 def _is_gross(fit: QuickFit, small: float = 0.3) -> bool:
     """Whether a scale or a weight is off by more than a share ``small``, so that it is mistaken for another."""
-    return len(fit.extra) == 2 and abs(complex(*fit.extra)) > small
+    return len(fit.free) == 2 and abs(complex(*fit.free)) > small
 
 
 def _describe_extra(fit: QuickFit) -> str:
     """The gain that the fit found."""
-    if len(fit.extra) != 2:
+    if len(fit.free) != 2:
         return ""
-    gain = 1 + complex(*fit.extra)
+    gain = 1 + complex(*fit.free)
     return f" ({abs(gain):.3g} times as large, turned by {np.degrees(np.angle(gain)):.0f} deg)"
 
 

@@ -48,7 +48,7 @@ def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
         "all readings, or all weights, are not as stated",
         "the conventions, the tacho's angle, and the unit of the weights",
         measurement,
-        free_gain(np.array(True)),
+        free_gain(measurement, np.array(True)),
         gross=False,
     )
     mirrored = tuple((node, -angle % 360.0) for node, angle in data.channels)
@@ -61,29 +61,25 @@ def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
 
 
 def _with_channels(measurement: Measurement, channels: tuple[tuple[int, float], ...]) -> Measurement:
-    made = replace(measurement, dataset=replace(measurement.dataset, channels=channels))
-    vars(made)["deviation"] = measurement.deviation
-    return made
+    dataset = replace(measurement.dataset, channels=channels)
+    return replace(measurement, dataset=dataset, weighed=measurement.deviation)
 
 
 def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
     """Mistakes in single probes, and exchanged ones; ``names`` are the channels'."""
     data, count = measurement.dataset, len(measurement.dataset.channels)
     for p in range(count):
-        sign = np.ones((1, count, 1))
-        sign[0, p] = -1.0
+        alone = (np.arange(count) == p)[:, None]
         yield Mistake(
             f"probe '{names[p]}' has the wrong sign, or stands opposite to its stated angle",
             f"the wiring, the sign of the scale and the angle of '{names[p]}'",
-            scale(measurement, sign),
+            scale(measurement, np.where(alone, -1.0, 1.0)),
         )
         for factor, text in _FACTORS.items():
-            gain = np.ones((1, count, 1))
-            gain[0, p] = factor
             yield Mistake(
                 f"the readings of probe '{names[p]}' are {_call_factor(factor)} (as {text})",
                 f"the scale of '{names[p]}'",
-                scale(measurement, gain),
+                scale(measurement, np.where(alone, factor, 1.0)),
             )
         for turn in (90.0, 270.0):
             node, angle = data.channels[p]
@@ -105,16 +101,14 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             f"the readings of probe '{names[p]}' are not as stated",
             f"scale and place of '{names[p]}'",
             measurement,
-            free_gain((np.arange(count) == p)[:, None]),
+            free_gain(measurement, alone),
             gross=False,
         )
     for i, j in itertools.combinations(range(count), 2):
-        order = list(range(count))
-        order[i], order[j] = j, i
         yield Mistake(
             f"probes '{names[i]}' and '{names[j]}' are exchanged",
             "the cables of these two channels",
-            exchange(measurement, order, 1),
+            exchange(measurement, [(i, j)], 1),
         )
     yield from _of_bearings(measurement)
 
@@ -122,17 +116,13 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
 def _without_probe(measurement: Measurement, probe: int) -> Measurement:
     """The measurement without a channel."""
     data, rest = measurement.dataset, [p for p in range(len(measurement.dataset.channels)) if p != probe]
-    made = replace(
-        measurement,
-        dataset=replace(
-            data,
-            channels=tuple(data.channels[p] for p in rest),
-            displacement=data.displacement[:, rest],
-            subtracted=None if data.subtracted is None else data.subtracted[:, rest],
-        ),
+    fewer = replace(
+        data,
+        channels=tuple(data.channels[p] for p in rest),
+        displacement=data.displacement[:, rest],
+        subtracted=None if data.subtracted is None else data.subtracted[:, rest],
     )
-    vars(made)["deviation"] = measurement.deviation[:, rest]
-    return made
+    return replace(measurement, dataset=fewer, weighed=measurement.deviation[:, rest])
 
 
 def _of_bearings(measurement: Measurement) -> Iterator[Mistake]:
@@ -145,11 +135,8 @@ def _of_bearings(measurement: Measurement) -> Iterator[Mistake]:
         }
         if len(channels[a]) != len(channels[b]):
             continue
-        order = list(range(len(data.channels)))
-        for i, j in zip(channels[a], channels[b], strict=True):
-            order[i], order[j] = j, i
         yield Mistake(
             f"the probes of node {a} and those of node {b} are exchanged",
             "which cables come from which bearing, and from which end the nodes count",
-            exchange(measurement, order, 1),
+            exchange(measurement, zip(channels[a], channels[b], strict=True), 1),
         )

@@ -14,49 +14,44 @@ import numpy as np
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.measurement import Measurement
 from pipeline.trust.mistake import LEFT_OUT, Mistake, change, exchange, free_gain, scale
+from pipeline.trust.quick_fit import Free
 
 
 def of_runs(measurement: Measurement) -> Iterator[Mistake]:
     """Mistakes in single runs, and two that are exchanged."""
     data = measurement.dataset
     for i, j in itertools.combinations(range(len(data.runs)), 2):
-        order = list(range(len(data.runs)))
-        order[i], order[j] = j, i
         if np.array_equal(data.frequencies[:, i], data.frequencies[:, j]):
             yield Mistake(
                 f"the recordings of runs '{data.runs[i]}' and '{data.runs[j]}' are exchanged",
                 "the files of these runs",
-                exchange(measurement, order, 2),
+                exchange(measurement, [(i, j)], 2),
             )
     for r, run in enumerate(data.runs):
-        displacement = data.displacement.copy()
-        displacement[..., r] = displacement[..., r].conj()
+        alone = np.arange(len(data.runs)) == r
         yield Mistake(
             f"the phases of run '{run}' have the wrong sign (lag for lead)",
             f"the phase convention of run '{run}'",
-            change(measurement, displacement, measurement.deviation),
+            change(measurement, np.where(alone, data.displacement.conj(), data.displacement), measurement.deviation),
         )
         for degrees in (90, 180, 270):
-            turn = np.ones((1, 1, len(data.runs)), dtype=complex)
-            turn[..., r] = np.exp(-1j * np.radians(degrees))
             yield Mistake(
                 f"the weight of run '{run}' is {degrees} deg from its stated angle",
                 f"where the weight of run '{run}' was",
-                scale(measurement, turn),
+                scale(measurement, np.where(alone, np.exp(-1j * np.radians(degrees)), 1.0)),
             )
         if len(data.runs) > 2:
-            rest = np.delete(np.arange(len(data.runs)), r)
             yield Mistake(
                 f"run '{run}' is left out: it is not the run that it is called",
                 f"the recording and the weights of run '{run}'",
-                measurement.select(None, rest),
+                measurement.select(None, np.flatnonzero(~alone)),
                 penalty=LEFT_OUT,
             )
         yield Mistake(
             f"the weight of run '{run}' is not as stated",
             f"mass, radius and angle of the weight of run '{run}'",
             measurement,
-            free_gain(np.arange(len(data.runs)) == r),
+            free_gain(measurement, alone),
             gross=False,
         )
 
@@ -92,9 +87,7 @@ def of_weights(measurement: Measurement, straight: float = 0.02) -> Iterator[Mis
 
 def _with_weights(data: VibrationDataset, measurement: Measurement, changed: dict[int, Excitation]) -> Measurement:
     acting = tuple(changed.get(i, excitation) for i, excitation in enumerate(data.excitations))
-    made = replace(measurement, dataset=replace(data, excitations=acting))
-    vars(made)["deviation"] = measurement.deviation
-    return made
+    return replace(measurement, dataset=replace(data, excitations=acting), weighed=measurement.deviation)
 
 
 # --- rotor, runout, residual unbalance -----------------------------------------------------------------
@@ -123,7 +116,7 @@ def of_rest(measurement: Measurement) -> Iterator[Mistake]:
             "a vector that is the same at all speeds is in the readings: runout",
             "slow_roll, or fit identify.model_parameters.runout",
             measurement,
-            lambda predicted: size * constant,
+            Free(np.zeros_like(constant), size * constant),
             gross=False,
         )
 
@@ -142,11 +135,10 @@ def _of_rotor(measurement: Measurement, small: float = 0.15) -> Iterator[Mistake
     for share in _SHARES:
         for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
             changed = {what: (1 + share) * getattr(measurement.rotor, what)}
-            made = replace(measurement, rotor=replace(measurement.rotor, **changed))
-            vars(made)["deviation"] = measurement.deviation
+            rotor = replace(measurement.rotor, **changed)
             yield Mistake(
                 f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
                 "machine.rotor: is it this rotor's file, and of this material?",
-                made,
+                replace(measurement, rotor=rotor, weighed=measurement.deviation),
                 gross=abs(share) > small,
             )

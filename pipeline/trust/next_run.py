@@ -16,7 +16,7 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank_indices
-from pipeline.trust.linearised import LinearisedFit, linearise
+from pipeline.trust.linearised import LinearisedFit, cross, linearise
 
 Runs = Sequence[tuple[Excitation, ...]]
 
@@ -50,8 +50,7 @@ def weigh_candidates(
     able = tuple(acting for acting in candidates if all(weight.node < nodes for weight in acting))
     if not able:
         return Gains()
-    before = _spread(linear, np.linalg.inv(linear.normal))
-    data = measurement.dataset
+    before, data, factors = linear.deviate(np.linalg.inv(linear.normal)), measurement.dataset, []
     excitations = tuple(replace(weight, run=f"candidate {i}") for i, acting in enumerate(able) for weight in acting)
     shape = (*data.displacement.shape[:2], len(able))
     plan = replace(
@@ -65,19 +64,11 @@ def weigh_candidates(
     )
     planned = replace(measurement, dataset=plan, drift=NO_LEVELS)  # its runs are conditions of their own
     seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
-    factors = []
     for i in range(len(able)):
-        rows = seen[:, :, i]
-        added = 2.0 * np.einsum("spz,spy->zy", rows.conj(), rows, optimize=True).real
+        after = linear.deviate(np.linalg.inv(linear.normal + cross(seen[:, :, [i]], seen[:, :, [i]])))
         with np.errstate(divide="ignore", invalid="ignore"):
-            factors.append(np.median(before / _spread(linear, np.linalg.inv(linear.normal + added)), axis=1))
+            factors.append(np.median(before / after, axis=1))
     return Gains(able, np.array(factors))
-
-
-def _spread(linear: LinearisedFit, covariance: np.ndarray) -> np.ndarray:
-    slopes = linear.coefficients
-    variance = np.einsum("bscz,zy,bscy->bsc", slopes, covariance, slopes, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def describe_run(acting: Sequence[Excitation]) -> str:

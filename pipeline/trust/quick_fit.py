@@ -1,16 +1,16 @@
 """A fit in a tenth of a second, to compare explanations of the same readings.
 
 Coefficients are few Chebyshev terms in the logarithm of the speed, direct ones their exponential; the start is linear
-least squares, which no wrong guess misleads, and Levenberg and Marquardt do the rest. Extra columns are numbers that an
-explanation leaves free, such as the size of one run's weight.
+least squares, which no wrong guess misleads, and SciPy's least squares does the rest. Beside them are numbers
+that an explanation leaves free, such as the size of one run's weight.
 
-Legend: S speeds, P channels, R runs, A active unknowns, K functions, E extra numbers. SI units.
+Legend: S speeds, P channels, R runs, A active unknowns, K functions, E free numbers. SI units.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,16 +19,16 @@ from pipeline.coefficients import is_direct
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.slopes import ReadingSlopes
+from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.unknowns import outputs_of, scale_outputs
 
-Extra = Callable[[np.ndarray], np.ndarray]
-"""Predicted readings (S, P, R) m -> derivative of them (S, P, R, E) by the extra numbers, which are zero as stated."""
 
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Numbers that an explanation leaves free, zero as stated: each adds to the readings in proportion to itself."""
 
-def nothing_free(predicted: np.ndarray) -> np.ndarray:
-    """No extra number."""
-    return np.zeros((*predicted.shape, 0))
+    shares: np.ndarray  # (S, P, R, E) of the predicted readings
+    shown: np.ndarray | float = 0.0  # (S, P, R, E) m, whatever is predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,27 +37,43 @@ class QuickFit:
 
     mean_square: float  # of what it leaves over, over the noise
     values: np.ndarray  # (M, S, U) unknowns
-    extra: np.ndarray  # (E,)
+    free: np.ndarray  # (E,)
 
 
 def quick_fit(
-    measurement: Measurement, start: np.ndarray, terms: int, extra: Extra = nothing_free, rounds: int = 12
+    measurement: Measurement,
+    starts: Sequence[np.ndarray],
+    terms: int,
+    free: Free | None = None,
+    rounds: int = 20,
+    still: float = 1e-3,
 ) -> QuickFit:
-    """Fit the unknowns to the readings, from a linear start where the probes allow one, and from ``start``.
+    """Fit the unknowns to the readings, from the best of ``starts`` and of a linear one, where the probes allow it.
+
+    The fit ends where a step lowers the squares by a share below ``still``, or after so many ``rounds``.
 
     Args:
-        start: (M, S, U) unknowns to begin with as well, N/m and N s/m.
+        starts: (M, S, U) unknowns to begin with as well, N/m and N s/m.
         terms: K; 1 for constants.
+        free: what else is sought; nothing where it is not given.
     """
-    start, scale = _within_reason(measurement, start)
-    begins = [start]
+    from scipy.optimize import least_squares
+
     functions = speed_functions(measurement, terms)
-    members = np.broadcast_to(functions, (len(start), *functions.shape))
+    begins, scales = zip(*(_within_reason(measurement, start) for start in starts), strict=True)
+    members = np.broadcast_to(functions, (len(begins[0]), *functions.shape))
     with contextlib.suppress(np.linalg.LinAlgError, IdentifiabilityError):
-        linear = linear_start(measurement, members, scale)
-        begins += [linear] if linear is not None and np.isfinite(linear).all() else []
-    fits = [_minimise(measurement, begin, scale, functions, extra, rounds) for begin in begins]
-    return min(fits, key=lambda fitted: fitted.mean_square)
+        linear = linear_start(measurement, members, scales[0])
+        begins += (linear,) if linear is not None and np.isfinite(linear).all() else ()
+    free = Free(np.zeros((*measurement.dataset.displacement.shape, 0))) if free is None else free
+    problem = _Problem(measurement, scales[0], functions, free)
+    begin = min(
+        map(problem.weights_of, begins),
+        key=lambda weights: np.nan_to_num((problem.rows(weights) ** 2).sum(), nan=np.inf),
+    )
+    end = least_squares(problem.rows, begin, problem.jacobian, x_scale="jac", ftol=still, max_nfev=rounds)
+    square, count = 2 * end.cost, measurement.dataset.displacement.size
+    return QuickFit(square / count, problem.values(end.x), end.x[len(end.x) - problem.n_free :])
 
 
 def _within_reason(measurement: Measurement, start: np.ndarray, ran_away: float = 1e4) -> tuple[np.ndarray, np.ndarray]:
@@ -76,68 +92,31 @@ def speed_functions(measurement: Measurement, terms: int) -> np.ndarray:
     return np.asarray(np.polynomial.chebyshev.chebvander(scaled, min(terms, len(place)) - 1))
 
 
-def _minimise(
-    measurement: Measurement,
-    start: np.ndarray,
-    scale: np.ndarray,
-    functions: np.ndarray,
-    extra: Extra,
-    rounds: int,
-    longest: float = 1.0,
-    still: float = 1e-3,
-    most_damping: float = 1e8,
-) -> QuickFit:
-    """Levenberg and Marquardt: steps of a weight are ``longest`` at most; it ends where the loss falls by a share
-    below ``still``, or where nothing but ``most_damping`` lowers it."""
-    problem = _Problem(measurement, scale, functions, extra)
-    weights = problem.weights_of(start)
-    damping = 1e-3
-    loss, normal, right = problem.normal(weights)
-    for _ in range(rounds):
-        size = np.maximum(np.diag(normal), 1e-12 * np.diag(normal).max() + 1e-300)
-        step = np.linalg.solve(normal + damping * np.diag(size), right)
-        tried = weights + np.clip(step, -longest, longest)
-        new, *rest = problem.normal(tried)
-        if np.isfinite(new) and new < loss:
-            small = new > (1 - still) * loss
-            weights, loss, damping = tried, new, damping / 5
-            normal, right = rest
-            if small:
-                break
-        else:
-            damping *= 10
-            if damping > most_damping:
-                break
-    count = measurement.dataset.displacement.size
-    n_coefficients = len(weights) - problem.n_extra
-    return QuickFit(loss / count, problem.values(weights), weights[n_coefficients:])
-
-
 class _Problem:
-    """Residuals over the noise, and their normal equations.
+    """Residuals over the noise, and their derivative by the weights: A K, and E free numbers.
 
     A direct coefficient is held above ``least``, as a share of its size, and its logarithm within ``widest``.
     """
 
     least, widest = 1e-3, 12.0
 
-    def __init__(self, measurement: Measurement, scale: np.ndarray, functions: np.ndarray, extra: Extra) -> None:
-        self.measurement, self.functions, self.extra = measurement, functions, extra
+    def __init__(self, measurement: Measurement, scale: np.ndarray, functions: np.ndarray, free: Free) -> None:
+        self.measurement, self.functions, self.free = measurement, functions, free
         active = measurement.unknowns.active
         self.scale = np.array([scale[m, u] for m, u in active])
         self.positive = np.array([is_direct(measurement.unknowns.names[u]) for _, u in active])
-        self.n_extra = extra(np.zeros_like(measurement.dataset.displacement)).shape[-1]
+        self.n_free = free.shares.shape[-1]
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
         every = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1)
         raw = outputs_of(every, self.scale, self.positive, self.least)
         solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
-        return np.concatenate([solution.ravel(), np.zeros(self.n_extra)])
+        return np.concatenate([solution.ravel(), np.zeros(self.n_free)])
 
     def _outputs(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, A) unknowns and their slope by the raw outputs."""
-        count = len(weights) - self.n_extra
+        count = len(weights) - self.n_free
         raw = self.functions @ weights[:count].reshape(len(self.scale), -1).T
         held = np.where(self.positive, np.clip(raw, -self.widest, self.widest), raw)
         return scale_outputs(held, self.scale, self.positive)
@@ -146,21 +125,20 @@ class _Problem:
         """(M, S, U)."""
         return self.measurement.unknowns.from_active(self._outputs(weights)[0])
 
-    def normal(self, weights: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Sum of squares over the noise, its normal matrix and right-hand side."""
-        measurement, unknowns = self.measurement, self.measurement.unknowns
-        coefficients, slope = self._outputs(weights)
-        bearings = measurement.table(unknowns.from_active(coefficients))
-        with np.errstate(all="ignore"):
-            predicted = measurement.response.predict(bearings)
-            by_unknown = ReadingSlopes(measurement, bearings).by_unknown * slope[:, None, None]
-        rows, more = np.einsum("spra,sk->sprak", by_unknown, self.functions), self.extra(predicted)
-        predicted = predicted + more @ weights[len(weights) - self.n_extra :]
-        left = (measurement.dataset.displacement - predicted) / measurement.deviation
-        more = (more / measurement.deviation[..., None]).reshape(left.size, -1)
-        rows = np.concatenate([rows.reshape(left.size, -1), more], axis=-1)
-        flat = left.ravel()
-        if not (np.isfinite(flat).all() and np.isfinite(rows).all()):
-            return np.inf, np.eye(len(weights)), np.zeros(len(weights))
-        normal = (rows.conj().T @ rows).real
-        return float((np.abs(flat) ** 2).sum()), normal, (rows.conj().T @ flat).real
+    def rows(self, weights: np.ndarray) -> np.ndarray:
+        """(2 S P R,) predicted less measured readings."""
+        data, numbers = self.measurement, weights[len(weights) - self.n_free :]
+        predicted = data.response.predict(data.table(self.values(weights)))
+        expected = predicted + (predicted[..., None] * self.free.shares + self.free.shown) @ numbers
+        return stack_rows((expected - data.dataset.displacement) / data.deviation).ravel()
+
+    def jacobian(self, weights: np.ndarray) -> np.ndarray:
+        """(2 S P R, A K + E)."""
+        data, numbers = self.measurement, weights[len(weights) - self.n_free :]
+        bearings, slope = data.table(self.values(weights)), self._outputs(weights)[1]
+        gain = 1 + self.free.shares @ numbers
+        by_unknown = ReadingSlopes(data, bearings).by_unknown * slope[:, None, None] * gain[..., None]
+        by_weight = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*gain.shape, -1)
+        by_number = data.response.predict(bearings)[..., None] * self.free.shares + self.free.shown
+        columns = np.concatenate([by_weight, by_number / data.deviation[..., None]], axis=-1)
+        return stack_rows(columns).reshape(-1, len(weights))
