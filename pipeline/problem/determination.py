@@ -136,11 +136,14 @@ def summarize_determined(judged: Sequence[Determined]) -> dict[str, dict[str, di
 
 def read_determined(summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[Determined]:
     """What :func:`summarize_determined` wrote."""
-    judged = []
-    for node, coefficients in summary.items():
-        for name, entry in coefficients.items():
-            percent = entry["deviation_percent"]
-            deviation = np.inf if percent is None else percent / 100
-            lost = entry["not_determined_at_percent_of_speeds"] / 100
-            judged.append(Determined(int(node), name, deviation, lost, entry["not_determined"]))
-    return judged
+    return [
+        Determined(
+            int(node),
+            name,
+            np.inf if entry["deviation_percent"] is None else entry["deviation_percent"] / 100,
+            entry["not_determined_at_percent_of_speeds"] / 100,
+            entry["not_determined"],
+        )
+        for node, coefficients in summary.items()
+        for name, entry in coefficients.items()
+    ]

@@ -180,13 +180,9 @@ def _smooth_deviation(rows: np.ndarray, features: np.ndarray, prior_deviation: f
     stacked = np.concatenate([by_weight, np.eye(n_active * count) / prior_deviation])
     size = np.linalg.norm(stacked, axis=0)
     triangle = np.linalg.qr(stacked / size, mode="r")
-    deviation = np.empty((n_speeds, n_active))
-    for a in range(n_active):
-        slopes = np.zeros((n_active, count, n_speeds))
-        slopes[a] = features[a].T
-        carried = solve_triangular(triangle, slopes.reshape(-1, n_speeds) / size[:, None], trans="T")
-        deviation[:, a] = np.linalg.norm(carried, axis=0)
-    return deviation
+    slopes = np.einsum("ab,ask->akbs", np.eye(n_active), features).reshape(len(size), -1)
+    carried = solve_triangular(triangle, slopes / size[:, None], trans="T")
+    return np.asarray(np.linalg.norm(carried, axis=0).reshape(n_active, n_speeds).T)
 
 
 def _judge_few_sensors(

@@ -174,9 +174,9 @@ def require_temperatures(laws: LawSet, operating: Mapping[str, np.ndarray], same
 
 def summarize_numbers(information: LawInformation, further: np.ndarray | None) -> dict[str, dict[str, Any]]:
     """By name, SI; ``further`` (Th,) percent, with one more oil temperature."""
-    result = {}
-    for i, parameter in enumerate(information.parameters):
-        result[parameter.name] = {
+    warmer = {} if further is None else {f"deviation_percent_{FURTHER:g}_K_warmer": further}
+    return {
+        parameter.name: {
             "guess": parameter.guess,
             "value": parameter.guess,
             "deviation": float(parameter.guess * information.deviation[i]),
@@ -184,10 +184,10 @@ def summarize_numbers(information: LawInformation, further: np.ndarray | None) -
             "prior_percent": float(100 * information.prior[i]),
             "deviation_percent": float(100 * information.deviation[i]),
             "determined": bool(information.determined[i]),
+            **{name: float(percent[i]) for name, percent in warmer.items()},
         }
-        if further is not None:
-            result[parameter.name][f"deviation_percent_{FURTHER:g}_K_warmer"] = float(further[i])
-    return result
+        for i, parameter in enumerate(information.parameters)
+    }
 
 
 def describe_open(information: LawInformation) -> list[str]:

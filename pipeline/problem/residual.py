@@ -183,12 +183,9 @@ def _condition_numbers(singular: np.ndarray, unknowns: UnknownSet) -> np.ndarray
 
     An unknown that a member does not have is a singular value of zero that does not count.
     """
-    condition = np.empty(singular.shape[:2])
-    for m, present in enumerate(unknowns.present):
-        count = int(present.sum())
-        if count > singular.shape[2]:
-            condition[m] = np.inf
-            continue
-        with np.errstate(divide="ignore"):
-            condition[m] = singular[m, :, 0] / singular[m, :, count - 1] if count else 1.0
+    condition = np.full(singular.shape[:2], np.inf)
+    for m, count in enumerate(unknowns.present.sum(axis=1)):
+        if count <= singular.shape[2]:
+            with np.errstate(divide="ignore"):
+                condition[m] = singular[m, :, 0] / singular[m, :, count - 1] if count else 1.0
     return condition

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import name_direction, project_direction
+from pipeline.data.dataset import name_direction
+from pipeline.data.sensors import project
 from pipeline.problem.measurement import Measurement
 from pipeline.trust.mistake import Mistake
 from pipeline.trust.mistakes_of_probes import of_all_readings, of_probes
@@ -162,25 +163,9 @@ def _as_probes(measurement: Measurement, probes: Sequence[Probe]) -> Measurement
     """The measurement with a channel for each probe, in place of x and y that were made of them."""
     if not probes:
         return measurement
-    data, rows = measurement.dataset, []
-    for probe in probes:
-        row = np.zeros(len(data.channels))
-        for direction, cosine in zip((0.0, 90.0), project_direction(probe.angle % 360.0), strict=True):
-            row[data.channels.index((probe.node, direction))] = cosine
-        rows.append(row)
-    matrix = np.array(rows)
-
-    def seen(values: np.ndarray) -> np.ndarray:
-        return np.einsum("pc,scr->spr", matrix, values)
-
-    return replace(
-        measurement,
-        dataset=replace(
-            data,
-            channels=tuple((probe.node, probe.angle % 360.0) for probe in probes),
-            displacement=seen(data.displacement),
-            subtracted=None if data.subtracted is None else seen(data.subtracted),
-        ),
-        parameters=(),
-        values=(),
-    )
+    data, channels = measurement.dataset, tuple((probe.node, probe.angle % 360.0) for probe in probes)
+    taken = data.subtracted
+    if taken is not None:
+        taken = project(replace(data, displacement=taken), channels).displacement
+    dataset = replace(project(data, channels), subtracted=taken)
+    return replace(measurement, dataset=dataset, parameters=(), values=())
