@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -163,32 +163,29 @@ def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]
     }
 
 
-def print_parameters(name: str, fitted: Sequence[FittedParameter]) -> None:
-    """Stated tolerance and fitted value of every model parameter."""
-    names, title = [number.parameter.name for number in fitted], f"{name}: model parameters, against what is stated"
-    table(*list_parameters(title, names, tabulate_parameters(fitted)))
-
-
 def list_parameters(
-    caption: str, names: Sequence[str], fitted: Mapping[str, Sequence[Any] | np.ndarray], told: float = 0.9
+    caption: str,
+    fitted: Mapping[str, Mapping[str, float]],
+    told: float = 0.9,
+    spell: Callable[[str], str] = str,
 ) -> Table:
-    """A row a model parameter, of columns as in :func:`tabulate_parameters`: against what is stated.
+    """A row a model parameter of ``model_parameters`` of ``training.json``, against what is stated.
 
-    Where the posterior is more than ``told`` of the prior, the data tell nothing.
+    Where the posterior is more than ``told`` of the prior, the data tell nothing. Kinds are written as ``spell`` has
+    them.
     """
     rows = []
-    columns = (fitted[key] for key in ("kind", "prior_std", "value", "std"))
-    for name, kind, prior, value, deviation in zip(names, *columns, strict=True):
-        unit, factor = choose_unit(str(kind))
-        stated, share = f"0 +- {write_number(factor * prior, digits=3)}", write_number(value / prior, digits=2)
+    for name, number in fitted.items():
+        (kind, _, place), prior, value = name.partition(" "), number["prior_deviation"], number["value"]
+        unit, factor = choose_unit(kind)
         rows.append(
             [
-                name,
+                f"{spell(kind)} {place}".strip(),
                 unit,
-                stated,
-                write_number(factor * value, factor * deviation),
-                share,
-                "" if deviation < told * prior else "as stated: the data do not tell",
+                f"0 +- {write_number(factor * prior, digits=3)}",
+                write_number(factor * value, factor * number["deviation"]),
+                write_number(value / prior, digits=2),
+                "" if number["deviation"] < told * prior else "as stated: the data do not tell",
             ]
         )
     return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,15 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.schema import Config
-from pipeline.data.dataset import VibrationDataset, name_direction
-from pipeline.data.operating import find_nearest, name_state, split_states
+from pipeline.data.dataset import name_direction
+from pipeline.data.operating import name_state, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.fit_tables import describe_verdicts
+from pipeline.reporting.content import FitContent, ReportContent
+from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
-from pipeline.rotor.model import RotorModel
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.modes import Stability
-from pipeline.twin.twin import Twin
-from pipeline.write_numbers import count, format_engineering, write_number
+from pipeline.write_numbers import count, format_engineering, write_number, write_percent
 
 WIDTH = 100
 _INDENT = " " * 13
@@ -41,69 +39,41 @@ class ShownRun:
     measured: np.ndarray  # (S, P) complex, m
     predicted: np.ndarray  # (S, P) complex, m
 
-    @property
-    def error_percent(self) -> float:
-        """Root mean square of the difference over that of the measurement, all speeds and channels."""
-        return float(100 * np.linalg.norm(self.predicted - self.measured) / np.linalg.norm(self.measured))
+
+def choose_run(content: ReportContent, fit: FitContent) -> ShownRun:
+    """The first run that was not fitted, else the first of all, at the probe that moves most."""
+    data, held_out = content.dataset, content.config.training.holdout_runs if content.weighs_noise else ()
+    r = data.runs.index(held_out[0] if held_out else data.runs[0])
+    reached = np.where(data.present[:, [r]], fit.predicted[..., r], 0.0)
+    measured = data.displacement[..., r]
+    return ShownRun(data.runs[r], bool(held_out), int(np.abs(measured).max(axis=0).argmax()), measured, reached)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Results:
-    """What the screen and the picture show. Legend: B bearings, S speeds."""
-
-    rotor: RotorModel
-    dataset: VibrationDataset
-    coefficients: Coefficients
-    training: Mapping[str, Any]  # training.json
-    judged: Mapping[str, Any]  # the whole, of verdicts.json
-    shown: ShownRun
-    twin: Twin
-    beyond: Sequence[str] = ()  # which of the twin's conditions lie outside the data, in words
-    numbers: Sequence[str] = ()  # of bearing laws, with their deviations
-
-    @property
-    def rpm(self) -> np.ndarray:
-        """(U,) the different speeds, those of the prediction."""
-        return to_rpm(self.twin.vibration["identified"].speeds)
-
-    @property
-    def state(self) -> str:
-        """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
-        return f", {name_state(self.twin.operating)}" if self.twin.operating else ""
-
-    def nearest(self) -> tuple[str, Results]:
-        """The measured state that is nearest to the prediction's, and the results at its points alone."""
-        label, points = find_nearest(self.dataset.speeds, self.dataset.operating, self.twin.operating)
-        return label, replace(
-            self,
-            dataset=self.dataset.at(points),
-            coefficients=self.coefficients.at(points),
-            shown=replace(self.shown, measured=self.shown.measured[points], predicted=self.shown.predicted[points]),
-        )
-
-
-def write_summary(config: Config, results: Results, picture: Path) -> str:
+def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
-    modes: Mapping[str, Any] = summarize_modes(
-        results.twin.behaviour["identified"], config.machine.prediction.speed_rpm
-    )
-    rejected = "OF A REJECTED MODEL: " if results.judged["reservation"] else ""
+    config, judged = content.config, content.files["verdicts"]["machine"]
+    modes: Mapping[str, Any] = summarize_modes(fit.behaviour, config.machine.prediction.speed_rpm)
+    rejected = "OF A REJECTED MODEL: " if judged["reservation"] else ""
+    numbers = [
+        f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
+        for number in list_numbers(fit.training.get("physical_numbers", {}), config)
+    ]
     lines = [
         *_wrap(f"{config.name}: {config.description}", "", 1),
         "",
-        *_wrap_entry("machine", _describe_machine(config, results)),
-        *_wrap_entry("data", _describe_data(config, results)),
+        *_wrap_entry("machine", _describe_machine(content)),
+        *_wrap_entry("data", _describe_data(content, fit)),
         "",
-        *_list_coefficients(config, results),
+        *_list_coefficients(config, fit),
         "",
-        *(_wrap_entry("numbers", "; ".join(results.numbers)) if results.numbers else ()),
-        *_wrap_entry("verdict", _describe_verdict(results)),
-        *_wrap_entry("fit", _describe_fit(results.training)),
-        *_wrap_entry("", _describe_run(results)),
-        *_wrap_entry("critical", rejected + _list_critical_speeds(results, modes["critical_speeds"])),
+        *(_wrap_entry("numbers", "; ".join(numbers)) if numbers else ()),
+        *_wrap_entry("verdict", _describe_verdict(judged, fit.training)),
+        *_wrap_entry("fit", _describe_fit(fit.training)),
+        *_wrap_entry("", _describe_run(choose_run(content, fit))),
+        *_wrap_entry("critical", rejected + _list_critical_speeds(fit, modes["critical_speeds"])),
         *_wrap_entry("stability", rejected + _describe_stability(modes["stability"])),
-        *_wrap_entry("prediction", rejected + _describe_prediction(config, results)),
-        *(line for text in results.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
+        *_wrap_entry("prediction", rejected + _describe_prediction(config, fit)),
+        *(line for text in fit.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
     return "\n".join(lines) + "\n"
@@ -119,47 +89,55 @@ def _wrap(text: str, first: str, lines: int) -> list[str]:
     )
 
 
-def _describe_machine(config: Config, results: Results) -> str:
-    rotor = results.rotor
-    source = f", from '{config.machine.rotor.file}'" if config.machine.rotor.file else ""
+def _describe_machine(content: ReportContent) -> str:
+    rotor, file = content.measurement.rotor, content.config.machine.rotor.file
+    source = f", from '{file}'" if file else ""
     return (
         f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
         f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
 
-def _describe_data(config: Config, results: Results) -> str:
-    data = results.dataset
-    rpm, nodes = results.rpm, dict.fromkeys(node for node, _ in data.channels)
+def _describe_data(content: ReportContent, fit: FitContent) -> str:
+    data, baseline = content.dataset, content.config.data.baseline
+    rpm, nodes = _list_speeds(fit), dict.fromkeys(node for node, _ in data.channels)
     states = [label for label, _ in split_states(data.speeds, data.operating)]
     at = f" at {_join(states)}" if data.operating else ""
-    less = f", less the run {config.data.baseline}" if config.data.baseline else ""
-    kind = "modelled" if results.coefficients.compared else "measured"
+    less = f", less the run {baseline}" if baseline else ""
+    kind = "modelled" if fit.coefficients.compared else "measured"
     return (
         f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
         f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
     )
 
 
-def _pick_columns(config: Config, results: Results) -> list[tuple[str, int]]:
+def _list_speeds(fit: FitContent) -> np.ndarray:
+    """(U,) the different speeds in rpm, those of the prediction."""
+    return to_rpm(fit.twin.vibration["identified"].speeds)
+
+
+def _name_state(fit: FitContent) -> str:
+    """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
+    return f", {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+
+
+def _pick_columns(config: Config, fit: FitContent) -> list[tuple[str, int]]:
     """Heads and points of the table: up to three speeds, or up to three states at the prediction's speed."""
-    answer, rpm = results.coefficients.identified, results.coefficients.rpm
+    answer, rpm, at = fit.coefficients.identified, fit.coefficients.rpm, fit.twin.at
     if config.model.kind == "constant":
         return [("at every speed", 0)]
     if not answer.operating:
-        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, results.twin.at, len(rpm) - 1})]
+        return [(f"at {rpm[s]:g} rpm", s) for s in sorted({0, at, len(rpm) - 1})]
     states = split_states(answer.speeds, answer.operating)
     shown = [states[i] for i in sorted({0, (len(states) - 1) // 2, len(states) - 1})]
-    return [
-        (label, int(points[np.abs(rpm[points] - results.rpm[results.twin.at]).argmin()])) for label, points in shown
-    ]
+    return [(label, int(points[np.abs(rpm[points] - _list_speeds(fit)[at]).argmin()])) for label, points in shown]
 
 
-def _list_coefficients(config: Config, results: Results) -> list[str]:
+def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
-    shown, columns = results.coefficients, _pick_columns(config, results)
+    shown, columns = fit.coefficients, _pick_columns(config, fit)
     several = len(columns) > 1 and bool(shown.identified.operating)
-    speed = f" at {results.rpm[results.twin.at]:g} rpm" if several else ""
+    speed = f" at {_list_speeds(fit)[fit.twin.at]:g} rpm" if several else ""
     known = " +- one standard deviation" if shown.stated else ""
     against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
     heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
@@ -176,11 +154,10 @@ def _list_coefficients(config: Config, results: Results) -> list[str]:
     return lines
 
 
-def _describe_verdict(results: Results) -> str:
+def _describe_verdict(judged: Mapping[str, Any], training: Mapping[str, Any]) -> str:
     """The Judgement of the whole, and how well the coefficients are determined."""
-    judged = results.judged
     whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
-    return f"{whole}; {describe_verdicts(results.training)}"
+    return f"{whole}; {describe_verdicts(training)}"
 
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
@@ -203,22 +180,21 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     )
 
 
-def _describe_run(results: Results) -> str:
-    shown = results.shown
+def _describe_run(shown: ShownRun) -> str:
     what = (
         f"held-out run {shown.name} predicted" if shown.held_out else f"run {shown.name}, which was fitted, reproduced"
     )
-    share, channels = write_number(shown.error_percent, digits=2), count(shown.measured.shape[1], "channel")
-    return f"{what} to {share} % (root mean square, {channels})"
+    share = float(np.linalg.norm(shown.predicted - shown.measured) / np.linalg.norm(shown.measured))
+    return f"{what} to {write_percent(share)} (root mean square, {count(shown.measured.shape[1], 'channel')})"
 
 
-def _list_critical_speeds(results: Results, critical: Mapping[str, Any]) -> str:
-    rpm = results.rpm
+def _list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
+    rpm = _list_speeds(fit)
     listed = [
         f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
         for mode in critical.values()
     ]
-    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{results.state}"
+    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{_name_state(fit)}"
 
 
 def _describe_stability(stability: Mapping[str, Any]) -> str:
@@ -234,19 +210,19 @@ def _describe_stability(stability: Mapping[str, Any]) -> str:
     return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"
 
 
-def _describe_prediction(config: Config, results: Results) -> str:
+def _describe_prediction(config: Config, fit: FitContent) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
-    identified = results.twin.vibration["identified"]
+    identified, at = fit.twin.vibration["identified"], fit.twin.at
     rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
     acting = _join(
         f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
         for unbalance in config.machine.prediction.unbalances
     )
-    at = zip("xy", size[results.twin.at].tolist(), deviation[results.twin.at].tolist(), strict=True)
-    phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in at]
+    shown = zip("xy", size[at].tolist(), deviation[at].tolist(), strict=True)
+    phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in shown]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {identified.node} at {rpm[results.twin.at]:g} rpm{results.state}: {', '.join(phrases)} (zero-to-peak); "
+        f"node {identified.node} at {rpm[at]:g} rpm{_name_state(fit)}: {', '.join(phrases)} (zero-to-peak); "
         f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 

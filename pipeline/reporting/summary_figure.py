@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.data.operating import find_nearest, name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLUE,
@@ -25,26 +26,26 @@ from pipeline.reporting.blocks import (
     mark,
 )
 from pipeline.reporting.coefficient_figures import KINDS, Coefficients
+from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.summary import Results, name_channel
+from pipeline.reporting.summary import choose_run, name_channel
 from pipeline.reporting.twin import measure_sizes
 from pipeline.units import RAD_S_PER_RPM
 
 _AMPLITUDE = "amplitude (µm, zero-to-peak)"
 
 
-def draw_summary(path: Path, results: Results, title: str) -> Path:
+def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
     """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
 
     Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
     """
-    label = ""
-    if results.dataset.operating:
-        label, results = results.nearest()
-    beside = f", {label}" if label else ""
-    panels = [_draw_coefficients(results.coefficients, letter, beside) for letter in "kc"]
-    panels += [_draw_run(results, beside), _draw_response(results)]
-    return write_figure(path, Figure("summary", title, panels))
+    data = content.dataset
+    label, points = find_nearest(data.speeds, data.operating, fit.twin.operating)
+    beside = f", {label}" if data.operating else ""
+    panels = [_draw_coefficients(fit.coefficients.at(points), letter, beside) for letter in "kc"]
+    panels += [_draw_run(content, fit, points, beside), _draw_response(fit)]
+    return write_figure(path, Figure("summary", content.config.name, panels))
 
 
 def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
@@ -70,15 +71,15 @@ def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
     )
 
 
-def _draw_run(results: Results, beside: str) -> Panel:
+def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, beside: str) -> Panel:
     """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
-    shown = results.shown
-    at = shown.measured.any(axis=1)  # points that the run was measured at
-    rpm = to_rpm(results.dataset.speeds)[at]
+    shown = choose_run(content, fit)
+    at = points[shown.measured[points].any(axis=1)]  # that the run was measured at
+    rpm = content.rpm[at]
     measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
-    label = "measured (modelled data)" if results.coefficients.compared else "measured"
+    label = "measured (modelled data)" if fit.coefficients.compared else "measured"
     fitted = "not fitted" if shown.held_out else "fitted"
-    title = f"run {shown.name} ({fitted}), {name_channel(results.dataset.channels[shown.probe])}{beside}"
+    title = f"run {shown.name} ({fitted}), {name_channel(content.dataset.channels[shown.probe])}{beside}"
     return Panel(
         title,
         RPM,
@@ -96,14 +97,10 @@ def _draw_run(results: Results, beside: str) -> Panel:
     )
 
 
-def _draw_response(results: Results) -> Panel:
+def _draw_response(fit: FitContent) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled, rpm = (
-        results.twin.vibration["identified"],
-        results.twin.vibration.get("modelled"),
-        results.rpm,
-    )
-    curves, (sizes, deviations) = [], measure_sizes(identified)
+    identified, modelled = fit.twin.vibration["identified"], fit.twin.vibration.get("modelled")
+    rpm, curves, (sizes, deviations) = to_rpm(identified.speeds), [], measure_sizes(identified)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
         size, label = sizes[:, d], f"{direction} predicted"
         if modelled is None:
@@ -112,10 +109,11 @@ def _draw_response(results: Results) -> Panel:
             true = measure_sizes(modelled)[0][:, d]
             curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
         curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in results.twin.behaviour["identified"].critical]
+    critical = [mode.speed / RAD_S_PER_RPM for mode in fit.behaviour.critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
-    title = f"predicted: node {identified.node} under an unbalance that no run has{results.state}"
+    state = f", {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+    title = f"predicted: node {identified.node} under an unbalance that no run has{state}"
     return Panel(
         title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
     )

@@ -91,10 +91,18 @@ def list_deviations(behaviour: Behaviour) -> tuple[np.ndarray, np.ndarray]:
     return (nothing, nothing) if stated is None else (stated.frequency, stated.logarithmic_decrement)
 
 
-def measure_sizes(predicted: PredictedVibration) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 2) amplitudes in um, zero-to-peak, and their standard deviations; NaN where the fit states none."""
-    size = 1e6 * np.abs(predicted.displacement)
-    return size, np.full_like(size, np.nan) if predicted.deviation is None else 1e6 * predicted.deviation
+def follow_lines(behaviour: Behaviour) -> list[np.ndarray]:
+    """(S, K) frequencies (rad/s) and logarithmic decrements, each before its deviation, by the shapes of the modes."""
+    modes, deviations, order = behaviour.modes, list_deviations(behaviour), follow_modes(behaviour.modes)
+    values = (modes.frequency, deviations[0], modes.logarithmic_decrement, deviations[1])
+    return [np.take_along_axis(value, order, axis=1) for value in values]
+
+
+def measure_sizes(predicted: PredictedVibration, scale: float = MICROMETRES) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 2) amplitudes, zero-to-peak, and their standard deviations; NaN where the fit states none. They are in um, or
+    in m by a ``scale`` of 1."""
+    size = scale * np.abs(predicted.displacement)
+    return size, np.full_like(size, np.nan) if predicted.deviation is None else scale * predicted.deviation
 
 
 def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> pd.DataFrame:
@@ -266,20 +274,15 @@ def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "
     frequencies = [Curve(rpm, speeds / RAD_S_PER_HERTZ, "rotor speed (1X)", GREY, "dash")]
     decrements = [Curve(rpm, np.zeros(len(rpm)), "", GREY, "dash")]
     for name, machine in behaviour.items():
-        modes, deviations, order = machine.modes, list_deviations(machine), follow_modes(machine.modes)
-        followed = [
-            [np.take_along_axis(v, order, axis=1) for v in pair]
-            for pair in (
-                (modes.frequency / RAD_S_PER_HERTZ, 2 * deviations[0] / RAD_S_PER_HERTZ),
-                (modes.logarithmic_decrement, 2 * deviations[1]),
-            )
-        ]
+        frequency, frequency_std, *decrement = follow_lines(machine)
+        followed = ((frequency / RAD_S_PER_HERTZ, frequency_std / RAD_S_PER_HERTZ), decrement)
         seen = followed[0][0] <= top  # false for NaN
         for k in np.flatnonzero(seen.any(axis=0)):
             colour = LOOKS[k % len(LOOKS)][0]
-            for curves, (values, band) in zip((frequencies, decrements), followed, strict=True):
+            for curves, (values, deviation) in zip((frequencies, decrements), followed, strict=True):
                 line = np.where(seen[:, k], values[:, k], np.nan)
-                curves += [Curve(rpm, line, "", colour, "none", band=band[:, k]), _draw(name, rpm, line, colour)]
+                band = Curve(rpm, line, "", colour, "none", band=2 * deviation[:, k])
+                curves += [band, _draw(name, rpm, line, colour)]
     critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_HERTZ
     if len(critical):
         frequencies.append(Curve(60.0 * critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8))

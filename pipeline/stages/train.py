@@ -16,13 +16,13 @@ from pipeline.identification.storage import save_model
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
-from pipeline.reporting.console import say, training_progress, warn
+from pipeline.reporting.console import say, table, training_progress, warn
 from pipeline.reporting.fit_tables import (
     describe_law,
     describe_verdicts,
     list_numbers,
+    list_parameters,
     print_numbers,
-    print_parameters,
     tabulate_bad_points,
     tabulate_parameters,
     tabulate_unbalance,
@@ -116,12 +116,15 @@ def _report(analysis: Analysis, fitted: Fit) -> None:
         f"coefficients in '{analysis.files.identified}'"
     )
     stated = config.identify.model_parameters.deviations
-    told = [number for number in fitted.parameters if number.parameter.kind in stated or abs(number.value) > 1]
-    if told:
-        print_parameters(config.name, told)
+    summary = fitted.quality.summary
+    told = {
+        number.parameter.name: summary["model_parameters"][number.parameter.name]
+        for number in fitted.parameters
+        if number.parameter.kind in stated or abs(number.value) > 1
+    }
+    table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):
         say(f"{config.name}: {untold} usual tolerances were fitted and moved less than that, in 'model_parameters.csv'")
-    summary = fitted.quality.summary
     print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
     for text in describe_law(summary, config.model.kind):
         say(f"{config.name}: {text}")

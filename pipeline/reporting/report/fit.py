@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +25,9 @@ from pipeline.reporting.coefficient_figures import (
     list_states,
     space_evenly,
 )
+from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.report.content import FitContent, ReportContent
 from pipeline.trust.misfit import measure_misfit
 from pipeline.write_numbers import count, write_number
 
@@ -142,10 +143,9 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             cells[1] = cells[1] if shown.stated else ""
             rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
     name = content.origin.get("reference", "the reference")
-    at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
     return [
         Table(
-            f"Identified{at} less reference ({name})",
+            f"Identified{fit.state} less reference ({name})",
             ["coefficient", "speeds in common", "difference, % (median)", "difference over its deviation (median)"],
             rows,
         ).without_blank()
@@ -161,7 +161,7 @@ def _take_median(values: np.ndarray) -> float:
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
     """Readings and model of every probe over speed with their residuals."""
     figure = _draw_residuals(content, fit, [r for r in content.shown_runs if not content.held_out(r)], "fit")
-    return [_write_quality(content), _list_probes(content, fit), figure, *_list_parameters(content)]
+    return [_write_quality(fit.training), _list_probes(content, fit), figure, *_list_parameters(fit.training)]
 
 
 def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
@@ -187,8 +187,7 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     ]
 
 
-def _write_quality(content: ReportContent) -> str:
-    training = content.files.get("training", {})
+def _write_quality(training: Mapping[str, Any]) -> str:
     quality = training.get("fit")
     outcome = f"The fit ended as: {str(training.get('outcome', 'unknown')).replace('_', ' ')}."
     if not quality:
@@ -249,18 +248,7 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
     return Figure(name, caption, panels)
 
 
-def _list_parameters(content: ReportContent) -> list[Table]:
+def _list_parameters(training: Mapping[str, Any]) -> list[Table]:
     """Model parameters that were fitted with the coefficients, before and after."""
-    fitted = content.tables.get("model_parameters")
-    if fitted is None:
-        return []
-    return [
-        list_parameters(
-            "Uncertain numbers of the model, change against what was stated",
-            [
-                f"{str(kind).replace('_', ' ')} {of}".strip()
-                for kind, of in zip(fitted["kind"], fitted["of"], strict=True)
-            ],
-            fitted,
-        )
-    ]
+    caption, fitted = "Uncertain numbers of the model, change against what was stated", training.get("model_parameters")
+    return [list_parameters(caption, fitted, spell=lambda kind: kind.replace("_", " "))] if fitted else []

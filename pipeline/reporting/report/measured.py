@@ -32,6 +32,7 @@ from pipeline.reporting.blocks import (
     Panel,
     Table,
 )
+from pipeline.reporting.content import ReportContent, View
 from pipeline.reporting.measured_figures import (
     AMPLITUDE,
     BODE,
@@ -41,7 +42,6 @@ from pipeline.reporting.measured_figures import (
     name_point,
     pick_speeds,
 )
-from pipeline.reporting.report.content import ReportContent, View
 from pipeline.write_numbers import count, write_number
 
 _G_MM = 1e6

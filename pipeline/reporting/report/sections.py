@@ -10,8 +10,8 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import find_contradiction, list_contradicted
 from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
-from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
-from pipeline.reporting.report.content import ReportContent
+from pipeline.reporting.content import FitContent, ReportContent
+from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers, tabulate_unbalance
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
@@ -24,7 +24,7 @@ def list_sections(content: ReportContent) -> list[Section]:
     fit, origin = content.fit, list(content.origin.items())
     sections: list[Section] = [
         ("verdicts", "Can this be trusted?", describe_verdicts(content)),
-        ("numbers", "Numbers of the bearing laws", describe_numbers(content)),
+        ("numbers", "Numbers of the bearing laws", describe_numbers(content, fit) if fit else ()),
         ("coefficients", "Stiffness and damping", describe_coefficients(content, fit) if fit else ()),
         ("machine", "Machine", describe_machine(content)),
         ("measured", "What was measured", describe_measured(content)),
@@ -33,7 +33,7 @@ def list_sections(content: ReportContent) -> list[Section]:
         ("held-out", "Held-out runs and speeds", describe_held_out(content, fit) if fit else ()),
         ("modes", "Critical speeds and stability", describe_modes(content, fit) if fit else ()),
         ("response", "Unbalance response", describe_response(content, fit) if fit else ()),
-        ("balancing", "Residual unbalance and correction weights", [describe_balancing(content)] if fit else ()),
+        ("balancing", "Residual unbalance and correction weights", [describe_balancing(content, fit)] if fit else ()),
         ("conventions", "Conventions", [describe_conventions(content)]),
         (
             "origin",
@@ -69,9 +69,9 @@ def _write_verdict(entry: Mapping[str, Any]) -> list[Cell]:
     return [name, Mark(entry["verdict"], entry["verdict"]), why, entry.get("next") or ""]
 
 
-def describe_numbers(content: ReportContent) -> list[Block]:
+def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
     """The numbers of the bearing laws, and what the readings say against these; nothing for a fit without laws."""
-    training, kind = content.files.get("training", {}), content.config.model.kind
+    training, kind = fit.training, content.config.model.kind
     numbers = list_numbers(training.get("physical_numbers", {}), content.config)
     if not numbers:
         return []
@@ -146,10 +146,10 @@ def _write_expected(cell: Mapping[str, Any] | None) -> str:
     return f"{write_number(percent if isinstance(percent, float) else None, digits=2)} %, {cell['verdict']}"
 
 
-def describe_balancing(content: ReportContent) -> str | Table:
+def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
     """Residual unbalance of each plane and the weights that take it away; a sentence where none was identified."""
-    table = content.tables.get("residual_unbalance")
-    if table is None or not len(table["node"]):
+    table = tabulate_unbalance(fit.answer.uncertainty)
+    if not len(table["node"]):
         return (
             "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
             "loss=response, this section has the correction weights."

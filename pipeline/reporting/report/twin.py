@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import synchronous
-from pipeline.data.operating import name_state
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
@@ -19,7 +18,6 @@ from pipeline.reporting.blocks import (
     DASHES,
     GREY,
     LOOKS,
-    NOTHING,
     ORANGE,
     RPM,
     Amplitude,
@@ -33,40 +31,39 @@ from pipeline.reporting.blocks import (
     Table,
     mark,
 )
+from pipeline.reporting.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.reporting.report.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.report.measured import describe_weight
-from pipeline.reporting.twin import CRITICAL, list_critical
+from pipeline.reporting.twin import CRITICAL, follow_lines, list_critical, measure_sizes, summarize_modes
+from pipeline.twin.mode_deviations import Behaviour
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 
 def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e-9) -> list[Block]:
-    """Critical speeds, Campbell diagram and stability map; nothing without a prediction.
+    """Critical speeds, Campbell diagram and stability map.
 
     The growth rate of a machine at rest in a mode is known to ``rounding`` (1/s).
     """
-    identified = content.files.get("prediction", {}).get("identified")
-    if identified is None:
-        return []
-    stability, rpm = identified["stability"], to_rpm(fit.modes.speeds)
-    verdict = stability.get("verdict", "stable" if stability["stable"] else "unstable")
+    running, rpm = content.config.machine.prediction.speed_rpm, to_rpm(fit.behaviour.modes.speeds)
+    identified: Mapping[str, Any] = summarize_modes(fit.behaviour, running)
+    stability = identified["stability"]
+    verdict = stability["verdict"]
     told = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
-    at = f" at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
-    said = f"{told.get(verdict, 'UNSTABLE')} {_name_range(rpm)}{at}"
+    said = f"{told.get(verdict, 'UNSTABLE')} {_name_range(rpm)}{fit.state}"
     text = f"The identified machine is {said}; the largest growth rate is {growth} 1/s."
     least = stability["smallest_logarithmic_decrement"]
     if least is not None:
         decrement = write_number(least, stability.get("smallest_logarithmic_decrement_std"), 3)
         speed = write_number(stability["at_rpm"], digits=6)
         text += f" The smallest logarithmic decrement is {decrement}, at {speed} rpm (modes up to twice the top speed)."
-    running = write_number(content.config.machine.prediction.speed_rpm, digits=6)
     text += (
         " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
         "with an amplification factor below 2.5 is critically damped. "
-        f"Separation margins are from {running} rpm (machine.prediction.speed_rpm), in percent of it."
+        f"Separation margins are from {write_number(running, digits=6)} rpm (machine.prediction.speed_rpm), in percent "
+        "of it."
     )
     beyond = "the bands grow there, and rest on the model of the coefficients alone."
     return [
@@ -74,7 +71,7 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
         Mark("warning" if verdict == "unstable" else "", text),
         *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
         _list_critical_speeds(rpm, identified["critical_speeds"]),
-        *(() if len(rpm) < 2 else (_draw_campbell(content, fit, identified), _draw_stability(content, fit))),
+        *(() if len(rpm) < 2 else (_draw_campbell(fit, identified["critical_speeds"]), _draw_stability(fit.behaviour))),
     ]
 
 
@@ -92,64 +89,52 @@ def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table
     )
 
 
-def _draw_campbell(content: ReportContent, fit: FitContent, identified: Mapping[str, Any]) -> Figure:
-    rpm, frequency = to_rpm(fit.modes.speeds), fit.modes.frequency / RAD_S_PER_RPM
-    shown = np.flatnonzero(np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1])
-    curves = []
-    for i, k in enumerate(shown.tolist()):
-        band = 60.0 * _read_band(content, rpm, k, "frequency_std_hz")
-        curves.append(Curve(rpm, frequency[:, k], f"mode {i + 1}", LOOKS[i % 8][0], DASHES[i % 4], band=band))
+def _draw_campbell(fit: FitContent, critical: Mapping[str, Any]) -> Figure:
+    rpm, (frequency, deviation, *_) = to_rpm(fit.behaviour.modes.speeds), follow_lines(fit.behaviour)
+    shown = np.flatnonzero(np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1] * RAD_S_PER_RPM)
+    curves = [
+        Curve(
+            rpm,
+            frequency[:, k] / RAD_S_PER_RPM,
+            f"mode {i + 1}",
+            LOOKS[i % 8][0],
+            DASHES[i % 4],
+            band=NOMINAL_95 * deviation[:, k] / RAD_S_PER_RPM,
+        )
+        for i, k in enumerate(shown)
+    ]
     curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
-    crossings = np.array([mode["rpm"] for mode in identified["critical_speeds"].values()])
+    crossings = np.array([mode["rpm"] for mode in critical.values()])
     curves += [Curve(crossings, crossings, "critical speed", BLACK, "none", "o")] if len(crossings) else []
+    axes = Axes(curves, "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))
     return Figure(
         "campbell",
-        "Modes in the order of their damped natural frequencies; over-damped ones have none.",
-        [
-            Panel(
-                "Campbell diagram",
-                RPM,
-                [Axes(curves, "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))],
-                wide=True,
-            )
-        ],
+        "Damped natural frequencies of the modes, followed by their shapes; over-damped ones have none.",
+        [Panel("Campbell diagram", RPM, [axes], wide=True)],
     )
 
 
-def _read_band(content: ReportContent, rpm: np.ndarray, mode: int, column: str) -> np.ndarray:
-    """(U,) half the width of a mode's nominal 95 % band, in the unit of the table; empty where none is stated."""
-    table = content.tables.get("modes")
-    if table is None:
-        return NOTHING
-    rows = (table["system"] == "identified") & (table["mode"] == mode + 1)
-    band = np.full(len(rpm), np.nan)
-    band[np.abs(rpm[:, None] - table["speed_rpm"][rows]).argmin(axis=0)] = NOMINAL_95 * table[column][rows]
-    return band
-
-
-def _draw_stability(content: ReportContent, fit: FitContent, highest: float = 1.5, points: int = 60) -> Figure:
+def _draw_stability(behaviour: Behaviour, highest: float = 1.5, points: int = 60) -> Figure:
     """Decrements below the ``highest``: what is damped more, nobody asks for. About so many ``points`` a mode."""
-    rpm, decrement = to_rpm(fit.modes.speeds), fit.modes.logarithmic_decrement
-    within = np.where(fit.modes.frequency <= 2.0 * fit.modes.speeds.max(), decrement, np.nan)
-    curves = []
+    rpm, (frequency, _, decrement, deviation) = to_rpm(behaviour.modes.speeds), follow_lines(behaviour)
+    within = np.where(frequency <= 2.0 * behaviour.modes.speeds.max(), decrement, np.nan)
+    every, curves = slice(None, None, max(1, len(rpm) // points)), []
     for i, k in enumerate(np.flatnonzero(np.isfinite(within).any(axis=0)).tolist()):
-        band = _read_band(content, rpm, k, "logarithmic_decrement_std")
-        every = slice(None, None, max(1, len(rpm) // points))
         drawn = mark(rpm, within[:, k], f"mode {i + 1}", *LOOKS[i % 8], count=points)
-        curves.append(replace(drawn, band=band[every]))
+        curves.append(replace(drawn, band=NOMINAL_95 * deviation[every, k]))
     curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
     limits = (min(-0.1, 1.1 * float(np.nanmin(within, initial=0.0))), highest)
     return Figure(
         "stability",
-        "Logarithmic decrement of the modes up to twice the top speed, in the order of their frequencies at each "
-        f"speed, where it is below {highest:g}. Below zero the machine is unstable; API RP 684 asks for 0.1 at least.",
+        "Logarithmic decrement of the modes up to twice the top speed, followed by their shapes, where it is below "
+        f"{highest:g}. Below zero the machine is unstable; API RP 684 asks for 0.1 at least.",
         [Panel("Stability map", RPM, [Axes(curves, "logarithmic decrement", y_range=limits)], wide=True)],
     )
 
 
 def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
     """Verification as in API 617, and the prediction of an unbalance that no run has."""
-    return [*list_reservations(content), *_verify(content, fit), *_predict(content, fit)]
+    return [*list_reservations(content), *_verify(content, fit), _predict(content, fit)]
 
 
 def find_peak(rpm: np.ndarray, size: np.ndarray, least_prominence: float = 0.05) -> tuple[float, float] | None:
@@ -215,29 +200,19 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
     return [text, Table("Unbalanced rotor response verification", [*header, "verdict"], rows)]
 
 
-def _predict(content: ReportContent, fit: FitContent) -> list[Figure]:
+def _predict(content: ReportContent, fit: FitContent) -> Figure:
     """The twin's vibration under the unbalance that no run has, with its band."""
-    table, asked = content.tables.get("prediction", {}), content.config.machine.prediction
-    curves = []
-    for direction, colour, dash in (("x", BLUE, "solid"), ("y", ORANGE, "dash")) if table else ():
-        size = table[f"{direction}_identified_amplitude_m"]
-        band = NOMINAL_95 * table.get(f"{direction}_identified_amplitude_std_m", NOTHING)
-        curves.append(Curve(table["speed_rpm"], size, f"{direction} predicted", colour, dash, band=band))
+    predicted, asked = fit.twin.vibration["identified"], content.config.machine.prediction
+    curves, (sizes, deviations) = [], measure_sizes(predicted, 1.0)
+    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
+        band = NOMINAL_95 * deviations[:, d]
+        curves.append(Curve(to_rpm(predicted.speeds), sizes[:, d], f"{direction} predicted", colour, dash, band=band))
     acting = "; ".join(
         f"node {unbalance.node}: {describe_weight(unbalance.magnitude, unbalance.phase)}"
         for unbalance in asked.unbalances
     )
-    at = f", at {name_state(fit.twin.operating)}" if fit.twin.operating else ""
-    stated = ", with its nominal 95 % band" if any(len(c.band) for c in curves) else "; this fit states no band"
+    at = f",{fit.state}" if fit.state else ""
+    stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
     caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting}){at}{stated}."
-    return (
-        [
-            Figure(
-                "prediction",
-                caption,
-                [Panel(f"node {asked.node}", RPM, [Axes(curves, AMPLITUDE, quantity="amplitude")], wide=True)],
-            )
-        ]
-        if curves
-        else []
-    )
+    axes = Axes(curves, AMPLITUDE, quantity="amplitude")
+    return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])

@@ -1,4 +1,4 @@
-"""What the report speaks of: one value, read from an experiment's files and its measurement. Nothing is fitted here.
+"""What report and summary speak of: one value, of an experiment's answer, twin and files. Nothing is fitted here.
 
 Legend: S speeds, P channels, R runs, B bearings, W probes.
 """
@@ -6,7 +6,7 @@ Legend: S speeds, P channels, R runs, B bearings, W probes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,20 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
+from pipeline.data.operating import name_state
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.files import hash_file
+from pipeline.identification.identified import Answer
 from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.blocks import Mark
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
-from pipeline.twin.modes import WhirlModes
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.twin.at_conditions import say_beyond
+from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.twin import Twin
 
 MOST_PROBES, MOST_RUNS = 8, 6
@@ -50,25 +54,56 @@ class View:
         return np.asarray(np.sqrt(noise.transpose(0, 2, 1) ** 2 @ self.weights**2))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class FitContent:
-    """What was identified, and how it follows the readings.
+    """What was identified, and how it follows the readings."""
 
-    ``at_conditions`` are the coefficients at the conditions of the prediction, at each speed once: the same where the
-    data have no conditions. The twin's modes are theirs.
-    """
-
-    coefficients: Coefficients
-    at_conditions: Coefficients
-    predicted: np.ndarray  # (S, P, R) complex, m
-    noise: np.ndarray  # (S, P, R) m, root mean square of each reading's noise
+    answer: Answer
     twin: Twin
-    beyond: Sequence[str]  # which of the twin's conditions lie outside the data, in words
+    modelled: BearingTable | None  # the truth, where there is one
+    training: Mapping[str, Any]  # training.json
+
+    def collect(self, table: BearingTable, modelled: BearingTable | None = None) -> Coefficients:
+        """The coefficients of a ``table`` with their deviations."""
+        return Coefficients.collect(table, modelled, self.answer.names, self.answer.deviation(table))
+
+    @cached_property
+    def coefficients(self) -> Coefficients:
+        """At the points of the data."""
+        return self.collect(self.answer.table, self.modelled)
+
+    @cached_property
+    def at_conditions(self) -> Coefficients:
+        """Those of the twin: at the conditions of the prediction, at each speed once; the same without conditions."""
+        return self.collect(self.twin.systems["identified"])
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """(S, P, R) complex, m."""
+        return self.answer.measurement.response.predict(self.answer.table, self.answer.unbalance)
+
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """(S, P, R) m, root mean square of each reading's noise."""
+        measurement, factors = self.answer.measurement, self.training.get("fit", {}).get("noise_factor") or {}
+        stated = len(factors) == len(measurement.dataset.channels)
+        factor = np.array(list(factors.values())) if stated else 1.0
+        return measurement.deviation_of(measurement.dataset.displacement, measurement.baseline, factor)
 
     @property
-    def modes(self) -> WhirlModes:
-        """Those of the identified machine."""
-        return self.twin.behaviour["identified"].modes
+    def behaviour(self) -> Behaviour:
+        """That of the identified machine."""
+        return self.twin.behaviour["identified"]
+
+    @property
+    def state(self) -> str:
+        """The conditions of the prediction, such as `` at 70 degC``; no words without any."""
+        return f" at {name_state(self.twin.operating)}" if self.twin.operating else ""
+
+    @property
+    def beyond(self) -> list[str]:
+        """Which of the twin's conditions lie outside the data, in words."""
+        return say_beyond(self.answer.measurement.dataset.operating, self.twin.operating)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,11 +113,10 @@ class ReportContent:
     config: Config
     measurement: Measurement
     fit: FitContent | None  # None where the data determine nothing
-    spectra: Mapping[str, FullSpectra]  # beyond 1X, of time signals, by run and node
     files: Mapping[str, Mapping[str, Any]]
-    tables: Mapping[str, Mapping[str, np.ndarray]]  # CSV files by name
-    reference: Mapping[str, np.ndarray]  # coefficients to compare with, at speeds of their own; empty without any
-    origin: Mapping[str, str]  # versions, hashes, command
+    spectra: Mapping[str, FullSpectra] = field(default_factory=dict)  # beyond 1X, of time signals, by run and node
+    reference: Mapping[str, np.ndarray] = field(default_factory=dict)  # coefficients to compare with, at their speeds
+    origin: Mapping[str, str] = field(default_factory=dict)  # versions, hashes, command
 
     @property
     def dataset(self) -> VibrationDataset:
@@ -129,7 +163,7 @@ class ReportContent:
     @property
     def weighs_noise(self) -> bool:
         """Whether the loss of the fit does."""
-        return "fit" in self.files.get("training", {})
+        return self.fit is not None and "fit" in self.fit.training
 
     def held_out(self, run: int) -> bool:
         """Whether the run was predicted rather than fitted."""
@@ -162,35 +196,6 @@ def name_channel(channel: tuple[int, float]) -> str:
     """Name a channel, such as ``node 3, x`` or ``node 3, 45°``."""
     direction = name_direction(channel[1])
     return f"node {channel[0]}, {direction if direction in 'xy' else f'{direction}°'}"
-
-
-_TABLES: dict[str, tuple[dict[str, str], dict[str, str]]] = {
-    "residual_unbalance": (dict.fromkeys(("node", "magnitude", "phase_deg", "magnitude_std"), "number"), {}),
-    "model_parameters": (
-        dict.fromkeys(("kind", "of", "unit"), "text") | dict.fromkeys(("prior_std", "value", "std"), "number"),
-        {},
-    ),
-    "modes": (
-        {"system": "text", "speed_rpm": "number", "mode": "number"}
-        | dict.fromkeys(("frequency_std_hz", "logarithmic_decrement_std"), "number or blank"),
-        {},
-    ),
-    "prediction": (
-        dict.fromkeys(("speed_rpm", "x_identified_amplitude_m", "y_identified_amplitude_m"), "number"),
-        dict.fromkeys(("x_identified_amplitude_std_m", "y_identified_amplitude_std_m"), "number"),
-    ),
-}
-"""Tables that sections read: columns that they need, and columns that may be there."""
-
-
-def read_tables(folder: Path) -> dict[str, Mapping[str, np.ndarray]]:
-    """The tables of the experiment that are there and have a row."""
-    paths = {name: folder / f"{name}.csv" for name in _TABLES}
-    return {
-        name: read_table(path, *_TABLES[name])
-        for name, path in paths.items()
-        if path.exists() and path.read_text(encoding="utf-8").count("\n") > 1
-    }
 
 
 def read_reference(path: Path) -> dict[str, np.ndarray]:
