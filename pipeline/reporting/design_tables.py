@@ -17,6 +17,7 @@ from pipeline.problem.accuracy import Candidates, Plan
 from pipeline.problem.planning import State
 from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table
+from pipeline.write_numbers import write_number
 
 Runs = Sequence[Sequence[Excitation]]
 Gains = Mapping[str, Mapping[str, float | None]]
@@ -43,12 +44,12 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
     if summary["gain"] is None:
         say("the configured runs leave an unknown free; these do not")
         return
-    confirmed = f" (in simulations {summary['simulated_gain']:.3g} times)" if simulated else ""
-    say(f"they lower the worst deviation {summary['gain']:.3g} times{confirmed}")
+    confirmed = f" (in simulations {write_number(summary['simulated_gain'], digits=3)} times)" if simulated else ""
+    say(f"they lower the worst deviation {write_number(summary['gain'], digits=3)} times{confirmed}")
 
 
 def _write_share(share: float | None) -> str:
-    return "free" if share is None else f"{100 * share:.2g}"
+    return "free" if share is None else write_number(100 * share, digits=2)
 
 
 # --- to a stated accuracy ----------------------------------------------------------------------------
@@ -67,10 +68,14 @@ def print_reached(
     table(
         f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)",
         ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"],
-        [[key, f"{100 * share:.2g}", "" if share <= accuracy else "not reached"] for key, share in predicted.items()],
+        [
+            [key, write_number(100 * share, digits=2), "" if share <= accuracy else "not reached"]
+            for key, share in predicted.items()
+        ],
     )
     acting = "; ".join(
-        f"{run[0].run}: " + ", ".join(f"{e.magnitude:.3g} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
+        f"{run[0].run}: "
+        + ", ".join(f"{write_number(e.magnitude, digits=3)} {'kg m' if e.kind == 'unbalance' else 'N'}" for e in run)
         for run in chosen
     )
     say(f"{name}: {len(chosen)} runs ({acting}) at {len(rpm)} speeds from {rpm[0]:g} to {rpm[-1]:g} rpm")
@@ -81,11 +86,11 @@ def print_reached(
     worst = rank(short)[0]
     say(
         f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
-        f"coefficients; the worst, {worst}, is known to {100 * short[worst]:.2g} % at best"
+        f"coefficients; the worst, {worst}, is known to {write_number(100 * short[worst], digits=2)} % at best"
     )
     for cure in reversed(rank(cures)):
         enough = " (enough)" if cures[cure] <= accuracy else ""
-        say(f"with {cure} the worst is {100 * cures[cure]:.2g} %{enough}")
+        say(f"with {cure} the worst is {write_number(100 * cures[cure], digits=2)} %{enough}")
 
 
 # --- for the numbers of bearing laws -----------------------------------------------------------------
@@ -119,7 +124,10 @@ def print_states(
     """The plans by the number of their states, and what the ``best`` of them tells of each number."""
     names = {plan: "; ".join(name_state(states[t]) for t in plan.states) for plan in [*plans, best]}
     where, runs = names[best], f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
-    rows = [[f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", f"{100 * plan.worst:.2g}"] for plan in plans]
+    rows = [
+        [f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", write_number(100 * plan.worst, digits=2)]
+        for plan in plans
+    ]
     table(
         f"{name}: the number that is known least, % (one standard deviation, at {noise})",
         ["states", "which", "runs", "worst, %"],
@@ -129,8 +137,8 @@ def print_states(
     rows = [
         [
             number,
-            f"{100 * nothing[number]:.2g}",
-            f"{100 * after:.2g}",
+            write_number(100 * nothing[number], digits=2),
+            write_number(100 * after, digits=2),
             "" if after <= accuracy else "not reached" if wanted else "not asked",
         ]
         for (number, after), wanted in zip(known.items(), candidates.wanted, strict=True)

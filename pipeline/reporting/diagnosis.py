@@ -114,8 +114,8 @@ def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
                 report.where,
                 f"{int(np.median(report.rank))} of {len(report.unknowns)}",
                 "" if np.isnan(report.orbit_rank).any() else f"{int(np.median(report.orbit_rank))} of 2",
-                f"{np.median(report.condition):.3g}",
-                f"{report.condition.max():.3g}",
+                write_number(np.median(report.condition), digits=3),
+                write_number(report.condition.max(), digits=3),
                 f"{coefficient} {size}",
                 report.free_combination(),
             ]

@@ -18,6 +18,7 @@ from pipeline.reporting.console import say, table
 from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
                 source,
                 str(speeds),
                 f"{first:g} to {last:g}",
-                f"{largest:.3g}",
+                write_number(largest, digits=3),
                 ", ".join(acting_on) or "nothing (baseline)",
             ]
         )
@@ -116,8 +117,8 @@ def describe_records(recordings: MeasuredConfig, data: VibrationDataset) -> Inge
                     f"{record_rpm.min():.1f} to {record_rpm.max():.1f}",
                     name,
                     f"node {probe.node}, {np.degrees(probe.angle):g} deg",
-                    f"{np.median(amplitude):.3g}",
-                    f"{amplitude.min():.3g} to {amplitude.max():.3g}",
+                    write_number(np.median(amplitude), digits=3),
+                    f"{write_number(amplitude.min(), digits=3)} to {write_number(amplitude.max(), digits=3)}",
                 ]
             )
     return Ingested(

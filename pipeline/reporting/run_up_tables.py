@@ -16,6 +16,7 @@ from pipeline.sweep.fit import ModalFit
 from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
 from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number, write_percent
 
 
 def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis) -> dict[str, Any]:
@@ -114,12 +115,23 @@ def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor
     rows = []
     if steady := analysis.steady:
         label = f"steady: peak of the mean of {settings.steady_rows} rows, half-power width"
-        rows.append([label, f"{steady.frequency / RAD_S_PER_RPM:.5g}", "", f"{steady.damping:.3g}", "", ""])
+        rows.append(
+            [
+                label,
+                write_number(steady.frequency / RAD_S_PER_RPM, digits=5),
+                "",
+                write_number(steady.damping, digits=3),
+                "",
+                "",
+            ]
+        )
     labels = ("ramp, 1 mode: first", "ramp, 2 modes: first", "ramp, 2 modes: second")
     for label, fit, mode in zip(labels, (analysis.fits[0], *[analysis.fits[1]] * 2), (0, 0, 1), strict=True):
-        rows.append(_row(label, *read_mode(fit, mode), f"{100 * fit.misfit:.3g}"))
+        rows.append(_row(label, *read_mode(fit, mode), write_number(100 * fit.misfit, digits=3)))
     if decay := analysis.decay:
-        rows.append(_row("free decay behind the peak", *read_mode(decay, 0), f"{100 * decay.misfit:.3g}"))
+        rows.append(
+            _row("free decay behind the peak", *read_mode(decay, 0), write_number(100 * decay.misfit, digits=3))
+        )
     rows.append(_row("first natural frequency", analysis.frequency, analysis.damping, ""))
     table(
         f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'",
@@ -127,13 +139,14 @@ def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor
         rows,
     )
     say(
-        f"{name}: rate {analysis.run_up.rate / RAD_S_PER_RPM:.4g} rpm/s, phase a {analysis.sense}; "
-        f"{'two modes' if analysis.gain > 0 else 'one mode'} (Schwarz's criterion {abs(analysis.gain):.3g} better)"
+        f"{name}: rate {write_number(analysis.run_up.rate / RAD_S_PER_RPM)} rpm/s, phase a {analysis.sense}; "
+        f"{'two modes' if analysis.gain > 0 else 'one mode'} (Schwarz's criterion "
+        f"{write_number(abs(analysis.gain), digits=3)} better)"
     )
     if analysis.chosen.misfit > poor:
         warn(
-            f"the modes leave {100 * analysis.chosen.misfit:.2g} % of '{settings.file}' over: check its columns, the "
-            "sense and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
+            f"the modes leave {write_percent(analysis.chosen.misfit)} of '{settings.file}' over: check its columns, "
+            "the sense and unit of the phase, and the range of the ramp (from_rpm, to_rpm)"
         )
     if abs(analysis.bias.peak_shift) > settings.most_lag:
         warn(f"the peak is no steady one: {describe_bias(analysis.bias)}")
@@ -142,9 +155,9 @@ def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor
 def _row(label: str, frequency: Reading, damping: Reading, left_over: str) -> list[str]:
     return [
         label,
-        f"{frequency.value / RAD_S_PER_RPM:.5g}",
-        f"{frequency.half_width() / RAD_S_PER_RPM:.2g}",
-        f"{damping.value:.2g}",
-        f"{damping.half_width():.1g}",
+        write_number(frequency.value / RAD_S_PER_RPM, digits=5),
+        write_number(frequency.half_width() / RAD_S_PER_RPM, digits=2),
+        write_number(damping.value, digits=2),
+        write_number(damping.half_width(), digits=1),
         left_over,
     ]

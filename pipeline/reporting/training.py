@@ -15,6 +15,7 @@ from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Fi
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -151,8 +152,8 @@ def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: floa
         [
             [
                 f"node {node} {coefficient}",
-                f"{values['worst_mean_error_percent']:.2g}",
-                f"{values['median_mean_error_percent']:.2g}",
+                write_number(values["worst_mean_error_percent"], digits=2),
+                write_number(values["median_mean_error_percent"], digits=2),
             ]
             for node, entry in summary["coefficients"].items()
             for coefficient, values in entry.items()
@@ -175,9 +176,9 @@ def print_refits(name: str, summary: Mapping[str, Any]) -> None:
         [
             [
                 f"node {node} {coefficient}",
-                f"{measures['median_error_percent']:.3g}",
-                f"{measures['worst_median_error_percent']:.3g}",
-                f"{measures['median_bound_percent']:.3g}",
+                write_number(measures["median_error_percent"], digits=3),
+                write_number(measures["worst_median_error_percent"], digits=3),
+                write_number(measures["median_bound_percent"], digits=3),
                 f"{measures['rmse_over_bound']:.2f}",
                 f"{measures['within_95_percent_interval']:.1f}",
             ]
@@ -186,17 +187,20 @@ def print_refits(name: str, summary: Mapping[str, Any]) -> None:
         ],
     )
     say(
-        f"all coefficients: median error {summary['median_error_percent']:.3g} %, "
+        f"all coefficients: median error {write_number(summary['median_error_percent'], digits=3)} %, "
         f"{summary['within_95_percent_interval']:.1f} % inside the 95 % interval; the model is rejected in "
         f"{summary['rejected_percent']:.0f} % of the data sets"
     )
     for state, bearings in summary.get("unmeasured", {}).items():
         worst = max(entry["median_error_percent"] for names in bearings.values() for entry in names.values())
         typical = summary["all_unmeasured"][state]["median_error_percent"]
-        say(f"at {state}, which no run has: median error {typical:.3g} %, of the worst coefficient {worst:.3g} %")
+        say(
+            f"at {state}, which no run has: median error {write_number(typical, digits=3)} %, "
+            f"of the worst coefficient {write_number(worst, digits=3)} %"
+        )
     for number, error in summary.get("numbers", {}).items():
         say(
-            f"{number}: error {error['median_error_percent']:.3g} %, typically, "
-            f"{error['worst_error_percent']:.3g} % at worst; "
+            f"{number}: error {write_number(error['median_error_percent'], digits=3)} %, typically, "
+            f"{write_number(error['worst_error_percent'], digits=3)} % at worst; "
             f"{error['within_95_percent_interval']:.0f} % inside the 95 % interval"
         )

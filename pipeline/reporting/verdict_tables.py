@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.reporting.console import say, table, warn
 from pipeline.trust.judgement import AS_FELT
+from pipeline.write_numbers import write_number
 
 
 def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
@@ -35,7 +36,7 @@ def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
         [
             f"node {entry['node']} {entry['coefficient']}",
             entry["verdict"],
-            "" if np.isnan(band := _read_band(entry)) else f"{band:.2g}",
+            "" if np.isnan(band := _read_band(entry)) else write_number(band, digits=2),
             entry["reasons"][0],
         ]
         for entry in judged["verdicts"]

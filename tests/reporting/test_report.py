@@ -29,7 +29,9 @@ def _sections() -> list[Section]:
     orbit = Curve(SIZE, SIZE[::-1], "orbit")
     band = Curve(RPM, SIZE, "first run", band=0.1 * SIZE)
     panels = (
-        Panel("probe <A>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", quantity="amplitude"),)),
+        Panel(
+            "probe <!--<script>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", quantity="amplitude"),)
+        ),
         Panel("polar", "", (Axes((Curve(RPM / 10, SIZE, "first run"),), "", quantity="amplitude"),), polar=45.0),
         Panel("orbit", "x (µm)", (Axes((orbit,), "y (µm)", quantity="amplitude"),), equal=True),
         Panel("map", "order", (Axes((), "rpm"),), heat=HeatMap(np.arange(3.0), np.arange(2.0), np.eye(2, 3), "level")),
@@ -88,6 +90,7 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     text = page.read_text(encoding="utf-8")
     found = re.search(r'<script type="application/json" id="panels">(.*?)</script>', text, re.S)
     assert found is not None
+    assert "<" not in found[1]  # such a title would open a script inside this one
     panels = json.loads(found[1])
     assert [panel["id"] for panel in panels] == re.findall(r'<div class="panel[^"]*" id="(\w+)"', text)
     assert len(panels) == 4

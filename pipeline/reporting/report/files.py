@@ -75,7 +75,7 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
             style=_read("page.css"),
             script=_read("page.js"),
             plotly=get_plotlyjs().replace("</script", "<\\/script"),
-            drawn=json.dumps(list(panels.values()), separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+            drawn=json.dumps(list(panels.values()), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         ),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,17 +56,24 @@ def describe_verdicts(content: ReportContent) -> list[Block]:
         felt = f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
         said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
         blocks.append(Mark("warning" if machine["verdict"] != "good" else "", said))
-    for caption, key in (("Bearings", "bearings"), ("Coefficients", "verdicts")):
-        rows = [_write_verdict(entry) for entry in judged.get(key, [])]
-        kind = caption.lower().removesuffix("s")
-        blocks += [Table(caption, [kind, "verdict", "why", "next step"], rows).without_blank()] * bool(rows)
-    return blocks
+    every = (_list_verdicts(caption, judged.get(key, [])) for caption, key in _JUDGED.items())
+    return [*blocks, *(table for table in every if table.rows)]
 
 
-def _write_verdict(entry: Mapping[str, Any]) -> list[Cell]:
-    why = entry.get("reason") or " ".join(entry.get("reasons", []))
-    name = f"node {entry['node']} {entry.get('coefficient', '')}".strip()
-    return [name, Mark(entry["verdict"], entry["verdict"]), why, entry.get("next") or ""]
+_JUDGED = {"Bearings": "bearings", "Coefficients": "verdicts"}
+
+
+def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:
+    """A row for all that are judged alike, for the same reason."""
+    alike: dict[tuple[str, str, str], list[str]] = {}
+    for entry in entries:
+        why = entry.get("reason") or " ".join(entry.get("reasons", []))
+        name = f"node {entry['node']} {entry.get('coefficient', '')}".strip()
+        alike.setdefault((entry["verdict"], why, entry.get("next") or ""), []).append(name)
+    rows: list[list[Cell]] = [
+        [", ".join(names), Mark(verdict, verdict), why, step] for (verdict, why, step), names in alike.items()
+    ]
+    return Table(caption, [caption.lower().removesuffix("s"), "verdict", "why", "next step"], rows).without_blank()
 
 
 def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
