@@ -12,6 +12,7 @@ from pipeline.balance.records import PredictedRecords
 from pipeline.balance.sheet import BalanceSheet, Tolerance
 from pipeline.balance.unbalance import Estimates
 from pipeline.data.vibration_files import to_rpm
+from pipeline.identification.quality import finite
 from pipeline.ingest.conventions import GRAM_MILLIMETRE, SourceUnits
 from pipeline.ingest.records import Records
 from pipeline.reporting.console import say, table
@@ -48,12 +49,8 @@ def tabulate_estimates(
                 "contradicted": int(estimates.contradicted[c]),
                 "vectors": int((~np.isnan(readings.displacement[c])).sum()),
             }
-            rows.append({key: _blank(value) if isinstance(value, float) else value for key, value in row.items()})
+            rows.append({key: finite(value) if isinstance(value, float) else value for key, value in row.items()})
     return rows
-
-
-def _blank(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _show_complex(name: str, value: complex) -> dict[str, float]:
@@ -68,10 +65,12 @@ def _show_complex(name: str, value: complex) -> dict[str, float]:
 def print_estimates(name: str, method: str, rows: Sequence[Mapping[str, Any]], most: int = 40) -> None:
     """The unbalance of every condition, from the rows of a method; of more than ``most`` the first ones and those with
     a remark."""
-    planes, lines = list(dict.fromkeys(row["node"] for row in rows)), []
-    for first in range(0, len(rows), len(planes)):
-        cells = [cell for row in rows[first : first + len(planes)] for cell in _show_plane(row)]
-        lines.append([rows[first]["condition"], *cells, _remark(rows[first])])
+    planes = list(dict.fromkeys(row["node"] for row in rows))
+    conditions = [rows[first : first + len(planes)] for first in range(0, len(rows), len(planes))]
+    lines = [
+        [by_plane[0]["condition"], *(cell for row in by_plane for cell in _show_plane(row)), _remark(by_plane[0])]
+        for by_plane in conditions
+    ]
     plain = most - sum(bool(line[-1]) for line in lines) if len(lines) > most else most
     shown = [line for i, line in enumerate(lines) if line[-1] or i < plain]
     table(
@@ -112,8 +111,8 @@ def describe_sheet(
                 "weights": [{"hole": w.hole, "mass_g": 1e3 * w.mass} for w in sheet.weights[n]],
                 **_show_complex("unbalance", before[n]),
                 **_show_complex("remaining", left[n]),
-                "circle_g_mm": _blank(sheet.circle[n] / GRAM_MILLIMETRE),
-                "remaining_at_most_g_mm": _blank(at_most[n] / GRAM_MILLIMETRE),
+                "circle_g_mm": finite(sheet.circle[n] / GRAM_MILLIMETRE),
+                "remaining_at_most_g_mm": finite(at_most[n] / GRAM_MILLIMETRE),
             }
             for n, node in enumerate(planes)
         ],
@@ -167,7 +166,7 @@ def _judge_tolerance(sheet: BalanceSheet, tolerance: Tolerance | None) -> list[d
         {
             "node": node,
             "remaining_g_mm": float(left / GRAM_MILLIMETRE),
-            "at_most_g_mm": _blank(bound / GRAM_MILLIMETRE),
+            "at_most_g_mm": finite(bound / GRAM_MILLIMETRE),
             "permissible_g_mm": float(permissible / GRAM_MILLIMETRE),
             "verdict": "met" if bound <= permissible else "not met" if left > permissible else "open",
         }
@@ -192,9 +191,9 @@ def tabulate_vibration_change(
             "speed_rpm": float(rpm),
             "probe": names[p],
             "unit": source.unit,
-            "before": _blank(before[s, p]),
-            "after": _blank(after[s, p]),
-            "band_95": _blank(half[s, p]),
+            "before": finite(before[s, p]),
+            "after": finite(after[s, p]),
+            "band_95": finite(half[s, p]),
         }
         for s, rpm in enumerate(to_rpm(speeds))
         for p in range(shape[1])

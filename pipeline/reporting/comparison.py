@@ -24,7 +24,9 @@ def draw_comparison(path: Path, comparison: Comparison, least: float = 1e-4) -> 
     The number of speeds has a panel where there are several. A method without an answer has words in its row. What is
     smaller than ``least`` (%) is exact for every purpose, and drawn as a hollow marker on the edge.
     """
-    noise, main, methods = comparison.along("noise"), comparison.main, _sort_methods(comparison)
+    noise, main = comparison.along("noise"), comparison.main
+    # By the error in the main case; those without an answer there last.
+    methods = sorted(comparison.methods, key=lambda method: np.nan_to_num(comparison.error(method, main), nan=np.inf))
     shown: list[tuple[str, list[Case], str]] = []
     for case in comparison.along("sensors"):
         title = f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds"
@@ -43,12 +45,6 @@ def draw_comparison(path: Path, comparison: Comparison, least: float = 1e-4) -> 
             columns=1,
         ),
     )
-
-
-def _sort_methods(comparison: Comparison) -> list[str]:
-    """The methods by their error in the main case; those without an answer there last."""
-    errors = {method: comparison.error(method, comparison.main) for method in comparison.methods}
-    return sorted(errors, key=lambda method: (np.isnan(errors[method]), errors[method]))
 
 
 def _draw_panel(

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as ProgressBar
     from rich.progress import TaskID
 
-    from pipeline.comparison.cases import Result
     from pipeline.identification.training import Progress
-
-StudyProgress = Callable[[int, "float | None"], None]
-"""(trials done, best loss so far)."""
 
 
 @cache
@@ -76,31 +72,10 @@ def training_progress(name: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def study_progress(name: str, total: int) -> Iterator[StudyProgress]:
-    """Show a bar for the trials of a study, with its best loss so far."""
+def count_progress(name: str, total: int) -> Iterator[Callable[[int, str], None]]:
+    """Show a bar for what is done one after another; it is given how many are done, and what they are in words."""
     with _show_bar(name, total) as (bar, task):
-        yield lambda done, best: bar.update(
-            task, completed=done, words=f"trials, best held-out loss {write_number(best)}, left:"
-        )
-
-
-@contextmanager
-def count_progress(name: str, total: int, things: str) -> Iterator[Callable[[int], None]]:
-    """Show a bar for so many ``things`` that are done one after another."""
-    with _show_bar(name, total) as (bar, task):
-        yield lambda done: bar.update(task, completed=done, words=f"{things}, left:")
-
-
-@contextmanager
-def comparison_progress(name: str, total: int) -> Iterator[Callable[[int, int, Result], None]]:
-    """Show a bar for the results of a comparison, with the newest of them."""
-    with _show_bar(name, total) as (bar, task):
-
-        def update(done: int, of: int, result: Result) -> None:
-            newest = f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s"
-            bar.update(task, completed=done, total=of, words=f"{newest}, left:")
-
-        yield update
+        yield lambda done, words: bar.update(task, completed=done, words=f"{words}, left:")
 
 
 @contextmanager

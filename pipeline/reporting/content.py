@@ -170,6 +170,15 @@ class ReportContent:
         return self.weighs_noise and self.dataset.runs[run] in self.config.training.holdout_runs
 
     @cached_property
+    def example(self) -> tuple[int, np.ndarray, np.ndarray]:
+        """The first run that was not fitted, else the first of all: its index, and (S, P) m as it was measured and as
+        the twin has it, zeros where it was not measured."""
+        data, held_out = self.dataset, self.config.training.holdout_runs if self.weighs_noise else ()
+        r = data.runs.index(held_out[0]) if held_out else 0
+        assert self.fit is not None
+        return r, data.displacement[..., r], np.where(data.present[:, [r]], self.fit.predicted[..., r], 0.0)
+
+    @cached_property
     def looks(self) -> dict[int, dict[str, Any]]:
         """Colour and dash of each run that is drawn, the same in every figure."""
         return dict(
@@ -188,7 +197,7 @@ class ReportContent:
 
 def list_reservations(content: ReportContent) -> list[Mark]:
     """The warning that stands beside all that follows from a rejected model."""
-    reservation = content.files.get("verdicts", {}).get("machine", {}).get("reservation")
+    reservation = content.files["verdicts"]["machine"]["reservation"]
     return [Mark("warning", reservation)] if reservation else []
 
 

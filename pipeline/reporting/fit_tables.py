@@ -46,20 +46,19 @@ def make_error_table(
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
             share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
-            before = (
-                {"least_squares_mean_error_percent": beside[str(node)][name]["mean_error_percent"]} if beside else {}
+            before = beside and beside[str(node)][name]["mean_error_percent"]
+            rows.append(
+                {
+                    "bearing_node": node,
+                    "coefficient": name,
+                    "modelled": shown.modelled[b, :, c].mean(),
+                    "identified": answer.values[b, :, c].mean(),
+                    **error,
+                    "least_squares_mean_error_percent": before,
+                    "median_std_percent": float(100 * share),
+                    "verdict": verdicts.get((node, name)),
+                }
             )
-            row = {
-                "bearing_node": node,
-                "coefficient": name,
-                "modelled": shown.modelled[b, :, c].mean(),
-                "identified": answer.values[b, :, c].mean(),
-                **error,
-                **before,
-                "median_std_percent": float(100 * share),
-                "verdict": verdicts.get((node, name)),
-            }
-            rows.append(row)
     return pd.DataFrame(rows).dropna(axis=1, how="all")
 
 

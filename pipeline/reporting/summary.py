@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,31 +28,12 @@ _MOST_ROWS = 16
 """All eight coefficients of two bearings."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShownRun:
-    """One run as it was measured and as the twin has it. Legend: S speeds, P channels."""
-
-    name: str
-    held_out: bool  # not fitted
-    probe: int  # index of the channel that moves most
-    measured: np.ndarray  # (S, P) complex, m
-    predicted: np.ndarray  # (S, P) complex, m
-
-
-def choose_run(content: ReportContent, fit: FitContent) -> ShownRun:
-    """The first run that was not fitted, else the first of all, at the probe that moves most."""
-    data, held_out = content.dataset, content.config.training.holdout_runs if content.weighs_noise else ()
-    r = data.runs.index(held_out[0] if held_out else data.runs[0])
-    reached = np.where(data.present[:, [r]], fit.predicted[..., r], 0.0)
-    measured = data.displacement[..., r]
-    return ShownRun(data.runs[r], bool(held_out), int(np.abs(measured).max(axis=0).argmax()), measured, reached)
-
-
 def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     config, judged = content.config, content.files["verdicts"]["machine"]
     modes: Mapping[str, Any] = summarize_modes(fit.behaviour, config.machine.prediction.speed_rpm)
     rejected = "OF A REJECTED MODEL: " if judged["reservation"] else ""
+    whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
     numbers = [
         f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)
@@ -67,9 +47,9 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
         *_list_coefficients(config, fit),
         "",
         *(_wrap_entry("numbers", "; ".join(numbers)) if numbers else ()),
-        *_wrap_entry("verdict", _describe_verdict(judged, fit.training)),
+        *_wrap_entry("verdict", f"{whole}; {describe_verdicts(fit.training)}"),
         *_wrap_entry("fit", _describe_fit(fit.training)),
-        *_wrap_entry("", _describe_run(choose_run(content, fit))),
+        *_wrap_entry("", _describe_run(content)),
         *_wrap_entry("critical", rejected + _list_critical_speeds(fit, modes["critical_speeds"])),
         *_wrap_entry("stability", rejected + _describe_stability(modes["stability"])),
         *_wrap_entry("prediction", rejected + _describe_prediction(config, fit)),
@@ -154,12 +134,6 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
     return lines
 
 
-def _describe_verdict(judged: Mapping[str, Any], training: Mapping[str, Any]) -> str:
-    """The Judgement of the whole, and how well the coefficients are determined."""
-    whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
-    return f"{whole}; {describe_verdicts(training)}"
-
-
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
     if "fit" not in training:
@@ -180,12 +154,11 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     )
 
 
-def _describe_run(shown: ShownRun) -> str:
-    what = (
-        f"held-out run {shown.name} predicted" if shown.held_out else f"run {shown.name}, which was fitted, reproduced"
-    )
-    share = float(np.linalg.norm(shown.predicted - shown.measured) / np.linalg.norm(shown.measured))
-    return f"{what} to {write_percent(share)} (root mean square, {count(shown.measured.shape[1], 'channel')})"
+def _describe_run(content: ReportContent) -> str:
+    r, measured, predicted = content.example
+    name, share = content.dataset.runs[r], float(np.linalg.norm(predicted - measured) / np.linalg.norm(measured))
+    what = f"held-out run {name} predicted" if content.held_out(r) else f"run {name}, which was fitted, reproduced"
+    return f"{what} to {write_percent(share)} (root mean square, {count(measured.shape[1], 'channel')})"
 
 
 def _list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ from pipeline.reporting.blocks import (
 from pipeline.reporting.coefficient_figures import KINDS, Coefficients
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.summary import choose_run, name_channel
+from pipeline.reporting.summary import name_channel
 from pipeline.reporting.twin import measure_sizes
 from pipeline.units import RAD_S_PER_RPM
 
@@ -73,13 +73,13 @@ def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
 
 def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, beside: str) -> Panel:
     """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
-    shown = choose_run(content, fit)
-    at = points[shown.measured[points].any(axis=1)]  # that the run was measured at
-    rpm = content.rpm[at]
-    measured, predicted = (MICROMETRES * np.abs(q[at, shown.probe]) for q in (shown.measured, shown.predicted))
+    (r, *vectors), data = content.example, content.dataset
+    probe = int(np.abs(vectors[0]).max(axis=0).argmax())
+    at = points[vectors[0][points].any(axis=1)]  # that the run was measured at
+    rpm, (measured, predicted) = content.rpm[at], (MICROMETRES * np.abs(vector[at, probe]) for vector in vectors)
     label = "measured (modelled data)" if fit.coefficients.compared else "measured"
-    fitted = "not fitted" if shown.held_out else "fitted"
-    title = f"run {shown.name} ({fitted}), {name_channel(content.dataset.channels[shown.probe])}{beside}"
+    fitted = "not fitted" if content.held_out(r) else "fitted"
+    title = f"run {data.runs[r]} ({fitted}), {name_channel(data.channels[probe])}{beside}"
     return Panel(
         title,
         RPM,

@@ -68,20 +68,19 @@ def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dic
     rpm, decrement = critical.speed / RAD_S_PER_RPM, critical.logarithmic_decrement
     speed_std, decrement_std = (0.0, 0.0) if deviations is None else deviations.of_critical(critical)
     factor, factor_std = amplify(decrement, decrement_std) or (None, None)
-    entry: dict[str, float | None] = {
+    stated = {
+        "rpm_std": speed_std / RAD_S_PER_RPM,
+        "logarithmic_decrement_std": decrement_std,
+        "amplification_factor_std": factor_std,
+        "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
+    }
+    return {
         "rpm": rpm,
         "logarithmic_decrement": decrement,
         "amplification_factor": factor,
         "separation_margin_percent": 100.0 * abs(rpm / running_rpm - 1.0),
         "separation_margin_required_percent": require_separation(factor, rpm > running_rpm),
-    }
-    if deviations is None:
-        return entry
-    return entry | {
-        "rpm_std": speed_std / RAD_S_PER_RPM,
-        "logarithmic_decrement_std": decrement_std,
-        "amplification_factor_std": factor_std,
-        "separation_margin_percent_std": 100.0 * speed_std / RAD_S_PER_RPM / running_rpm,
+        **({} if deviations is None else stated),
     }
 
 

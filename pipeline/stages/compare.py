@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.comparison.cases import Machine, choose_main_case, list_cases
+from pipeline.comparison.cases import Machine, Result, choose_main_case, list_cases
 from pipeline.comparison.runner import compare
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
@@ -12,7 +12,7 @@ from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.configured import model_machine
 from pipeline.reporting.comparison import draw_comparison, print_comparison, summarize_comparison
 from pipeline.reporting.comparison_tables import Comparison, tabulate, write_markdown
-from pipeline.reporting.console import comparison_progress, say
+from pipeline.reporting.console import count_progress, say
 from pipeline.rotor.stored import require_nodes
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput, use_threads
@@ -40,8 +40,10 @@ def run(analysis: Analysis) -> StageOutput:
         if case.data_set < asked.data_sets_of(method)
     ]
     try:
-        with comparison_progress(config.name, len(runs)) as progress:
-            results = compare(machine, runs, folder / "comparison", progress)
+        with count_progress(config.name, len(runs)) as show:
+            results = compare(
+                machine, runs, folder / "comparison", lambda done, _, result: show(done, _name_result(result))
+            )
     except KeyboardInterrupt:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
         raise SystemExit(130) from None
@@ -56,6 +58,10 @@ def run(analysis: Analysis) -> StageOutput:
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageOutput(summary, tags, written)
+
+
+def _name_result(result: Result) -> str:
+    return f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s"
 
 
 def build_machine(config: Config) -> Machine:

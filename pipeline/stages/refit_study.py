@@ -42,12 +42,12 @@ def refit_all(config: Config) -> list[Refit]:
     """In the order of the seeds, whatever the number of processes."""
     count, refits = config.robustness.count, []
     with (
-        count_progress(config.name, count, "data sets") as progress,
+        count_progress(config.name, count) as progress,
         open_pool(config.robustness.workers, config.threads) as each,
     ):
         for fitted in each(partial(measure_again, config), range(count)):
             refits.append(fitted)
-            progress(len(refits))
+            progress(len(refits), "data sets")
     return refits
 
 

@@ -11,12 +11,13 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import loss_of
 from pipeline.problem.measurement import Measurement
-from pipeline.reporting.console import study_progress, warn
+from pipeline.reporting.console import count_progress, warn
 from pipeline.tracking import StageRecord
 from pipeline.tuning.finalists import TrialSummary
 from pipeline.tuning.storage import list_results
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import run_study
+from pipeline.write_numbers import write_number
 
 
 def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
@@ -58,9 +59,10 @@ def search(problem: StudyProblem, title: str) -> Any:
         due = time.monotonic() + 1.0
         finished = list_results(study).values()
         losses = [10**trial.value for trial in finished if trial.state.name == "COMPLETE" and trial.value is not None]
-        shown(min(len(finished), total), min(losses, default=None))
+        best = write_number(min(losses, default=None))
+        shown(min(len(finished), total), f"trials, best held-out loss {best}")
 
-    with study_progress(title, total) as shown:
+    with count_progress(title, total) as shown:
         study, sentences = run_study(problem, show)
     for sentence in sentences:
         warn(f"{problem.config.name}: {sentence}")

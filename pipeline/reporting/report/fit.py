@@ -154,8 +154,9 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
 
 def _take_median(values: np.ndarray) -> float:
     """The median of those that are numbers; NaN where none is."""
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+    import pandas as pd
+
+    return float(pd.Series(values).median())
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
@@ -175,14 +176,11 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
         return ["No run and no speed was held out (training.holdout_runs, training.holdout_every)."]
     return [
         "The fit did not see these readings. Beside the model stands what needs no bearing model at all.",
-        *[
-            Table(
-                "Root mean square of the error over that of the readings",
-                ["held out", "model, error %", "without a model", "its error, %"],
-                rows,
-            )
-        ]
-        * bool(rows),
+        Table(
+            "Root mean square of the error over that of the readings",
+            ["held out", "model, error %", "without a model", "its error, %"],
+            rows,
+        ),
         *([_draw_residuals(content, fit, held, "held-out")] if held else []),
     ]
 

@@ -49,27 +49,24 @@ def describe_verdicts(content: ReportContent) -> list[Block]:
     judged = content.files.get("verdicts")
     if not judged:
         return ["No verdicts were written: stage=verdict makes them."]
-    blocks: list[Block] = []
-    machine = judged.get("machine")
-    if machine:
-        why = " ".join(text for text in (machine.get("reason"), machine.get("next")) if text)
-        felt = f" What is identified: {AS_FELT}." if machine.get("identified") == AS_FELT else ""
-        said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
-        blocks.append(Mark("warning" if machine["verdict"] != "good" else "", said))
-    every = (_list_verdicts(caption, judged.get(key, [])) for caption, key in _JUDGED.items())
-    return [*blocks, *(table for table in every if table.rows)]
-
-
-_JUDGED = {"Bearings": "bearings", "Coefficients": "verdicts"}
+    machine = judged["machine"]
+    why = " ".join(filter(None, (machine["reason"], machine["next"])))
+    felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
+    said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
+    return [
+        Mark("warning" if machine["verdict"] != "good" else "", said),
+        _list_verdicts("Bearings", judged["bearings"]),
+        _list_verdicts("Coefficients", judged["verdicts"]),
+    ]
 
 
 def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:
     """A row for all that are judged alike, for the same reason."""
     alike: dict[tuple[str, str, str], list[str]] = {}
     for entry in entries:
-        why = entry.get("reason") or " ".join(entry.get("reasons", []))
+        why = entry.get("reason") or " ".join(entry["reasons"])
         name = f"node {entry['node']} {entry.get('coefficient', '')}".strip()
-        alike.setdefault((entry["verdict"], why, entry.get("next") or ""), []).append(name)
+        alike.setdefault((entry["verdict"], why, entry["next"] or ""), []).append(name)
     rows: list[list[Cell]] = [
         [", ".join(names), Mark(verdict, verdict), why, step] for (verdict, why, step), names in alike.items()
     ]
@@ -93,10 +90,8 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 
 
 def describe_diagnosis(content: ReportContent) -> list[Block]:
-    """What the data determine before any fit: rank, condition, deviations; nothing where nothing was diagnosed."""
-    diagnosis = content.files.get("diagnosis")
-    if not diagnosis:
-        return []
+    """What the data determine before any fit: rank, condition, deviations."""
+    diagnosis = content.files["diagnosis"]
     noise, rows, blocks = diagnosis["stated_noise"], [], []
     for node, bearing in diagnosis["bearings"].items():
         least, most = bearing["rank"]["least"], bearing["rank"]["most"]
@@ -124,25 +119,19 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
             ["bearing", "verdict", "rank", "condition number", "determined least"],
             rows,
         ),
-        *_list_expected(diagnosis),
+        _list_expected(diagnosis),
     ]
 
 
-def _list_expected(diagnosis: Mapping[str, Any]) -> list[Table]:
+def _list_expected(diagnosis: Mapping[str, Any]) -> Table:
     """The deviation that the fit is expected to leave to each coefficient, in percent."""
-    judged = diagnosis.get("determined") or {}
-    by_node = judged.get("coefficients") or {}
+    judged = diagnosis["determined"]
+    by_node = judged["coefficients"]
     names = [name for name in COEFFICIENTS if any(name in cells for cells in by_node.values())]
-    return (
-        [
-            Table(
-                f"Expected standard deviation, {judged.get('by')} (median over the speed)",
-                ["coefficient", *(f"bearing at node {node}" for node in by_node)],
-                [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names],
-            )
-        ]
-        if by_node
-        else []
+    return Table(
+        f"Expected standard deviation, {judged['by']} (median over the speed)",
+        ["coefficient", *(f"bearing at node {node}" for node in by_node)],
+        [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names],
     )
 
 
