@@ -22,6 +22,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.files import hash_file
 from pipeline.identification.identified import Answer
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.blocks import Mark
@@ -188,6 +189,21 @@ class ReportContent:
     def traces(self, *runs: int) -> list[Trace]:
         """The points of each state that the ``runs`` (all that are drawn, without any) were measured at, with looks."""
         return list_traces(self.dataset, {run: self.looks[run] for run in runs or self.shown_runs})
+
+    @property
+    def source(self) -> SourceUnits:
+        """The conventions of the machine's recordings."""
+        return SourceUnits(self.config.machine.recordings)
+
+    @property
+    def counted(self) -> str:
+        """From where these have the angles of weights, in words."""
+        recordings = self.config.machine.recordings
+        mark = "" if recordings.tacho.angle is None else recordings.shaft_angle
+        return {
+            "with_rotation": "from the tacho mark, with the rotation",
+            "against_rotation": "from the tacho mark, against the rotation",
+        }.get(mark or "", "from x towards y, at the tacho pulse")
 
     def baseline(self) -> np.ndarray | None:
         """(S, P) complex, m: the run of the machine as it was found, which was taken off the others."""

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.data.dataset import Excitation, synchronous
 from pipeline.data.operating import split_states
 from pipeline.data.vibration_files import to_rpm
+from pipeline.ingest.conventions import SourceUnits
 from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.reporting.blocks import (
     BLACK,
@@ -44,7 +45,6 @@ from pipeline.reporting.measured_figures import (
 )
 from pipeline.write_numbers import count, write_number
 
-_G_MM = 1e6
 _SHAFT, _DISC = 0.16, 0.75
 """Half heights in the sketch of shaft and discs whose diameters are not known."""
 
@@ -134,23 +134,27 @@ def _list_runs(content: ReportContent, most: int = 30) -> Table:
         turning, hertz = synchronous(data.frequencies[:, r], data.speeds).all(), data.frequencies[:, r] / (2 * np.pi)
         constant = np.ptp(hertz) < 1e-9 * hertz[0]
         at = "rotor speed" if turning else f"{write_number(float(hertz[0]))} Hz" if constant else "own ratio"
-        rows.append([run, "; ".join(map(describe_excitation, acting)) or "nothing", at, use])
+        rows.append(
+            [run, "; ".join(describe_excitation(content.source, each) for each in acting) or "nothing", at, use]
+        )
     if len(rows) > most:
         rows = [*rows[: most - 1], [f"and {len(rows) - most + 1} more", "", "", ""]]
-    return Table("Runs", ["run", "excited by", "frequency", "use"], rows)
+    return Table(f"Runs; angles of weights are {content.counted}", ["run", "excited by", "frequency", "use"], rows)
 
 
-def describe_excitation(excitation: Excitation) -> str:
-    """Such as ``node 2: 200 g mm at 30°``; angles are from x towards y at the tacho pulse."""
+def describe_excitation(source: SourceUnits, excitation: Excitation) -> str:
+    """Such as ``node 2: 200 g mm at 30°``, a weight as the machine's file has it, a force from x towards y."""
     if excitation.kind == "unbalance":
-        return f"node {excitation.node}: {describe_weight(excitation.magnitude, excitation.phase)}"
+        weight = source.weights(excitation.magnitude * np.exp(1j * excitation.phase))
+        angle = round(float(np.degrees(np.angle(weight))), 9) % 360
+        return f"node {excitation.node}: {describe_weight(float(np.abs(weight)), angle)}"
     size = f"{write_number(excitation.magnitude)} N {excitation.whirl}"
     return f"node {excitation.node}: {size} at {write_number(float(np.degrees(excitation.phase)))}°"
 
 
-def describe_weight(magnitude: float, phase: float) -> str:
-    """Such as ``200 g mm at 30°``, from kg m and rad."""
-    return f"{write_number(_G_MM * magnitude)} g mm at {write_number(float(np.degrees(phase)))}°"
+def describe_weight(size: float, angle: float) -> str:
+    """Such as ``200 g mm at 30°``."""
+    return f"{write_number(size)} g mm at {write_number(angle)}°"
 
 
 def describe_measured(content: ReportContent) -> list[Block]:

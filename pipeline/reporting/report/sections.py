@@ -9,9 +9,10 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import find_contradiction, list_contradicted
+from pipeline.ingest.conventions import GRAM_MILLIMETRE
 from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
 from pipeline.reporting.content import FitContent, ReportContent
-from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers, tabulate_unbalance
+from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
@@ -144,40 +145,27 @@ def _write_expected(cell: Mapping[str, Any] | None) -> str:
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
     """Residual unbalance of each plane and the weights that take it away; a sentence where none was identified."""
-    table = tabulate_unbalance(fit.answer.uncertainty)
-    if not len(table["node"]):
+    uncertainty = fit.answer.uncertainty
+    if uncertainty is None or not len(uncertainty.planes):
         return (
             "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
             "loss=response, this section has the correction weights."
         )
-    (sign, start), counted = _count_angles(content)
-    rows = []
-    for node, size, angle, deviation in zip(
-        *(table[key] for key in ("node", "magnitude", "phase_deg", "magnitude_std")), strict=True
+    weights, rows = content.source.weights(uncertainty.residual_unbalance), []
+    for node, weight, deviation in zip(
+        uncertainty.planes, weights, uncertainty.unbalance_deviation() / GRAM_MILLIMETRE, strict=True
     ):
+        size, angle = float(abs(weight)), float(np.degrees(np.angle(weight)))
         spread = float(np.degrees(np.arcsin(min(deviation / size, 1.0)))) if size > 0 else None
-        amount = write_number(1e6 * size, 1e6 * deviation)
-        at, opposite = (write_number((sign * (angle + turn) + start) % 360, spread) for turn in (0, 180))
+        amount = write_number(size, deviation)
+        at, opposite = (write_number((angle + turn) % 360, spread) for turn in (0, 180))
         rows.append([f"node {node:.0f}", amount, at, amount, opposite])
     return Table(
-        f"Angles {counted}; +- one standard deviation. Add the correction, or remove as much at the unbalance.",
+        f"Angles are {content.counted}; +- one standard deviation. Add the correction, or remove as much at the "
+        "unbalance.",
         ["plane", "unbalance, g mm", "at, deg", "correction, g mm", "at, deg (opposite)"],
         rows,
     )
-
-
-def _count_angles(content: ReportContent) -> tuple[tuple[float, float], str]:
-    """How the machine's file counts the angles (deg) of weights, from an angle from x at the pulse: sign, start; words.
-
-    Without the place of the tacho they are as they are.
-    """
-    recordings = content.config.machine.recordings
-    tacho, as_they_are = float(np.degrees(recordings.tacho.angle or 0.0)), (1.0, 0.0)
-    turn, counted = {
-        "with_rotation": ((1.0, -tacho), "are from the tacho mark, with the rotation"),
-        "against_rotation": ((-1.0, tacho), "are from the tacho mark, against the rotation"),
-    }.get(recordings.shaft_angle or "", (as_they_are, "are from x towards y, at the tacho pulse"))
-    return as_they_are if recordings.tacho.angle is None else turn, counted
 
 
 def describe_conventions(content: ReportContent) -> Table:

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.data.dataset import synchronous
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
+from pipeline.ingest.conventions import GRAM_MILLIMETRE
 from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
@@ -208,7 +209,8 @@ def _predict(content: ReportContent, fit: FitContent) -> Figure:
         band = NOMINAL_95 * deviations[:, d]
         curves.append(Curve(to_rpm(predicted.speeds), sizes[:, d], f"{direction} predicted", colour, dash, band=band))
     acting = "; ".join(
-        f"node {unbalance.node}: {describe_weight(unbalance.magnitude, unbalance.phase)}"
+        f"node {unbalance.node}: "
+        + describe_weight(unbalance.magnitude / GRAM_MILLIMETRE, float(np.degrees(unbalance.phase)))
         for unbalance in asked.unbalances
     )
     at = f",{fit.state}" if fit.state else ""
