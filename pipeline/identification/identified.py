@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.identification.blocks import law_term
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model import CoefficientModel
@@ -65,17 +64,6 @@ class IdentifiedModel:
         term, scale = law_term(self.laws, self.unknowns, points), self.model.scale_tensor()
         values, by_outputs, by_numbers = term.correct(self.model, self.theta[None], raw, scale)
         return values[0], by_outputs[0], by_numbers[0]
-
-    def coefficients(
-        self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
-    ) -> dict[int, dict[str, np.ndarray]]:
-        """Bearing node -> coefficient name -> values (S,), where :meth:`values` are."""
-        values = self.values(speeds, operating)
-        eight = self.unknowns.expand(values, np.zeros((*values.shape[:2], len(COEFFICIENTS))))
-        return {
-            node: {name: eight[b, :, COEFFICIENTS.index(name)] for name in self.unknowns.coefficients(b)}
-            for b, node in enumerate(self.bearing_nodes)
-        }
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients: the identified ones, and the known ones from ``known``."""

@@ -12,8 +12,10 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
+from pipeline.data.coefficient_files import tabulate_coefficients
 from pipeline.data.operating import list_columns
 from pipeline.identification.storage import load_model
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tracking.entries import StageRecord, flatten_parameters
 from pipeline.units import RAD_S_PER_RPM
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from pipeline.identification.identified import IdentifiedModel
 
-SPEED, NODE = "speed_rpm", "bearing_node"
+SPEED = "speed_rpm"
 
 
 def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
@@ -43,7 +45,7 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
     artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
     identified = load_model(folder)
     example = pd.DataFrame({SPEED: np.array([1500.0])} | list_columns(_exemplify(identified)))
-    answer = tabulate_coefficients(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
+    answer = tabulate_identified(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
     logged = client.create_logged_model(
         run.info.experiment_id,
         name="model",
@@ -125,7 +127,7 @@ def _save(
         )
 
 
-def tabulate_coefficients(
+def tabulate_identified(
     model: IdentifiedModel, speed_rpm: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
 ) -> pd.DataFrame:
     """The columns of ``identified_coefficients.csv``: a row for each bearing and speed, bearing by bearing.
@@ -137,9 +139,7 @@ def tabulate_coefficients(
     """
     import pandas as pd
 
-    speeds = np.asarray(speed_rpm, dtype=float)
-    conditions = {SPEED: speeds} | list_columns(operating or {})
-    bearings = model.coefficients(speeds * RAD_S_PER_RPM, operating)
-    table = pd.concat([pd.DataFrame({NODE: node} | conditions | values) for node, values in bearings.items()])
-    columns = [NODE, *conditions, *(name for name in COEFFICIENTS if name in table)]
-    return table[columns].reset_index(drop=True)
+    nodes, speeds = model.bearing_nodes, np.asarray(speed_rpm, dtype=float) * RAD_S_PER_RPM
+    known = BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))), operating or {})
+    named = dict(zip(nodes, model.unknowns.by_bearing, strict=True))
+    return pd.DataFrame(tabulate_coefficients(model.table(known), named))

@@ -23,11 +23,11 @@ class CoefficientPredictor(PythonModel):
     def predict(
         self, context: PythonModelContext, model_input: pd.DataFrame, params: dict[str, Any] | None = None
     ) -> pd.DataFrame:
-        """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_coefficients`."""
-        from pipeline.tracking.model import SPEED, read_conditions, tabulate_coefficients
+        """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_identified`."""
+        from pipeline.tracking.model import SPEED, read_conditions, tabulate_identified
 
         operating = read_conditions(self._model, model_input)
-        return tabulate_coefficients(self._model, model_input[SPEED].to_numpy(), operating)
+        return tabulate_identified(self._model, model_input[SPEED].to_numpy(), operating)
 
 
 set_model(CoefficientPredictor())

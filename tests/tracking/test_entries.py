@@ -7,12 +7,16 @@ import os
 import shutil
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from running import ROOT
 
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tracking import tracker
 from pipeline.tracking.entries import (
     NAME_LENGTH,
@@ -24,7 +28,7 @@ from pipeline.tracking.entries import (
     flatten_parameters,
     without_password,
 )
-from pipeline.tracking.model import tabulate_coefficients
+from pipeline.tracking.model import tabulate_identified
 from pipeline.tracking.store import quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
@@ -43,11 +47,12 @@ def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
 
 
 def test_table_of_bearings_with_different_coefficients() -> None:
-    class Stub:
-        def coefficients(self, speeds: np.ndarray, operating: object) -> dict[int, dict[str, np.ndarray]]:
-            return {3: {"cxx": speeds, "kxx": 2 * speeds}, 7: {"kxx": 5 * speeds}}
+    def identify(known: BearingTable) -> BearingTable:
+        return replace(known, values=known.speeds[:, None] * np.array([[[2, 0, 0, 0, 1, 0, 0, 0]], [[5, *[0] * 7]]]))
 
-    table = tabulate_coefficients(Stub(), np.array([30.0, 60.0]))
+    unknowns = SimpleNamespace(by_bearing=(("cxx", "kxx"), ("kxx",)))
+    stub: Any = SimpleNamespace(bearing_nodes=(3, 7), unknowns=unknowns, table=identify)
+    table = tabulate_identified(stub, np.array([30.0, 60.0]))
     assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
     assert list(table["bearing_node"]) == [3, 3, 7, 7]
     assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]

@@ -22,7 +22,7 @@ import pipeline
 from pipeline.config.schema import TrackingConfig
 from pipeline.errors import StorageError
 from pipeline.tracking import StageRecord, track, tracker
-from pipeline.tracking.model import tabulate_coefficients
+from pipeline.tracking.model import tabulate_identified
 from pipeline.tracking.store import prepare_database, quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
@@ -413,7 +413,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingConfig, model_
     assert done.returncode == 0, done.stderr
     *tables, package = done.stdout.splitlines()
     assert not Path(package).is_relative_to(CHECKOUT), "the model brings its own code"
-    expected = tabulate_coefficients(load_model(model_folder), np.array([1500.0, 3000.0]))
+    expected = tabulate_identified(load_model(model_folder), np.array([1500.0, 3000.0]))
     assert len(tables) == 2
     for text in tables:
         table = json.loads(text)
