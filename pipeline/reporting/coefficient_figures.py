@@ -15,6 +15,7 @@ from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
+from pipeline.evaluation.errors import measure_relative_errors
 from pipeline.reporting.blocks import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
@@ -99,9 +100,7 @@ class Coefficients:
 
     def measure_errors(self, b: int, name: str) -> np.ndarray:
         """(S,) percent of the modelled coefficient; NaN where that is zero or not known."""
-        c = COEFFICIENTS.index(name)
-        true = np.where(self.modelled[b, :, c] == 0, np.nan, self.modelled[b, :, c])
-        return np.asarray(100 * np.abs(self.identified.values[b, :, c] - true) / np.abs(true))
+        return measure_relative_errors(self.identified, replace(self.identified, values=self.modelled), name)[b]
 
     def draw_errors(self, b: int, name: str, colour: str) -> list[Curve]:
         """The error in percent, and dotted the nominal 95 % interval."""

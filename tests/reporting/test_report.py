@@ -126,6 +126,8 @@ def test_a_peak_is_that_of_the_closed_form() -> None:
     assert found[0] == pytest.approx(2000.0 / np.sqrt(1 - 2 * damping**2), rel=2e-4)
     assert found[1] == pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=1e-4)
     assert find_peak(rpm, rpm) is None
+    two = size + 2 * np.exp(-(((rpm - 2600) / 50) ** 2)) * size.max()
+    assert [round(peak[0], -2) for beside in (None, 2100.0) if (peak := find_peak(rpm, two, beside))] == [2600, 2000]
 
 
 @pytest.mark.parametrize(

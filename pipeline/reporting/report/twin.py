@@ -138,17 +138,20 @@ def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
     return [*list_reservations(content), *_verify(content, fit), _predict(content, fit)]
 
 
-def find_peak(rpm: np.ndarray, size: np.ndarray, least_prominence: float = 0.05) -> tuple[float, float] | None:
-    """Speed and height of the highest peak of ``size`` (S,) inside the range, by a parabola; None without one.
+def find_peak(
+    rpm: np.ndarray, size: np.ndarray, beside: float | None = None, least_prominence: float = 0.05
+) -> tuple[float, float] | None:
+    """Speed and height of a peak of ``size`` (S,) inside the range, by a parabola; None without one.
 
-    A peak stands out by ``least_prominence`` of the largest value at least: noise does not.
+    It is the highest, or that which lies nearest ``beside`` a speed (rpm). A peak stands out by ``least_prominence`` of
+    the largest value at least: noise does not.
     """
     from scipy.signal import find_peaks
 
     inner, _ = find_peaks(size, prominence=least_prominence * size.max())
     if not len(inner):
         return None
-    s = int(inner[size[inner].argmax()])
+    s = int(inner[size[inner].argmax() if beside is None else np.abs(rpm[inner] - beside).argmin()])
     near = slice(max(s - 2, 0), s + 3)  # more than three readings, for they are noisy
     a, b, c = np.polyfit(rpm[near] - rpm[s], size[near], 2)
     top = float(np.clip(-b / (2 * a), rpm[near][0] - rpm[s], rpm[near][-1] - rpm[s])) if a < 0 else 0.0
@@ -170,8 +173,8 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
     for r, probe in itertools.product(excited, content.shown_probes):
         for _, points, look in content.traces(r):
             rpm = content.rpm[points]
-            seen = find_peak(rpm, np.abs(probe.read(data.displacement)[points, r]))
             expected = find_peak(rpm, np.abs(probe.read(fit.predicted)[points, r]))
+            seen = find_peak(rpm, np.abs(probe.read(data.displacement)[points, r]), beside=expected and expected[0])
             if seen is None or expected is None:
                 continue
             off = 100 * (seen[0] / expected[0] - 1)
