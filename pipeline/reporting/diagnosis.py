@@ -14,7 +14,7 @@ from pipeline.data.operating import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.combinations import WORTH, Combinations
 from pipeline.identification.quality import finite
-from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined, Deviations
+from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Identifiability, Solvability
 from pipeline.reporting.blocks import (
@@ -31,6 +31,7 @@ from pipeline.reporting.blocks import (
     Figure,
     HeatMap,
     Panel,
+    Table,
 )
 from pipeline.reporting.console import table
 from pipeline.reporting.fit_tables import choose_unit
@@ -91,16 +92,13 @@ def tabulate_diagnosis(
     return rows
 
 
-def print_determined(name: str, expected: Deviations, judged: Sequence[Determined], noise: str) -> None:
-    """The verdict on each coefficient, a column a bearing; ``noise`` in words."""
-    nodes = expected.table.nodes
+def list_determined(caption: str, judged: Sequence[Determined]) -> Table:
+    """The verdict on each coefficient, a column a bearing, on screen and in the report."""
+    nodes = dict.fromkeys(each.node for each in judged)
     cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
-    rows = [[row, *(cells.get((node, row), "") for node in nodes)] for row in dict.fromkeys(name for _, name in cells)]
-    table(
-        f"{name}: each coefficient at {noise}, {expected.of} (medians)",
-        ["coefficient", *(f"bearing at node {node}" for node in nodes)],
-        rows,
-    )
+    names = dict.fromkeys(name for _, name in cells)
+    rows = [[name, *(cells.get((node, name), "known") for node in nodes)] for name in names]
+    return Table(caption, ["coefficient", *(f"bearing at node {node}" for node in nodes)], rows)
 
 
 def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:

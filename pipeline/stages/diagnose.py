@@ -12,14 +12,14 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.determination import summarize_determined
 from pipeline.problem.diagnosis import budget_percent
 from pipeline.problem.identifiability import Solvability
-from pipeline.reporting.console import say
+from pipeline.reporting.console import say, table
 from pipeline.reporting.diagnosis import (
     describe_combinations,
     draw_budget,
     draw_diagnosis,
+    list_determined,
     name_tolerance,
     print_budget,
-    print_determined,
     print_diagnosis,
     summarize_combinations,
     summarize_diagnosis,
@@ -42,7 +42,7 @@ def run(analysis: Analysis) -> StageOutput:
     print_diagnosis(config.name, diagnosis, noise)
     expected = expect(analysis)
     judged = expected.judge()
-    print_determined(config.name, expected, judged, noise)
+    table(*list_determined(f"{config.name}: each coefficient at {noise}, {expected.of} (medians)", judged))
     summary: dict[str, object] = {
         "stated_noise": config.stated_noise.model_dump(),
         "bearings": summarize_diagnosis(diagnosis),

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import find_contradiction, list_contradicted
 from pipeline.ingest.conventions import GRAM_MILLIMETRE
+from pipeline.problem.determination import read_determined
 from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
 from pipeline.reporting.content import FitContent, ReportContent
+from pipeline.reporting.diagnosis import list_determined
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
@@ -93,7 +94,7 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_diagnosis(content: ReportContent) -> list[Block]:
     """What the data determine before any fit: rank, condition, deviations."""
     diagnosis = content.files["diagnosis"]
-    noise, rows, blocks = diagnosis["stated_noise"], [], []
+    noise, expected, rows, blocks = diagnosis["stated_noise"], diagnosis["determined"], [], []
     for node, bearing in diagnosis["bearings"].items():
         least, most = bearing["rank"]["least"], bearing["rank"]["most"]
         condition, worst = (write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max"))
@@ -120,27 +121,11 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
             ["bearing", "verdict", "rank", "condition number", "determined least"],
             rows,
         ),
-        _list_expected(diagnosis),
+        list_determined(
+            f"Expected standard deviation, {expected['by']} (median over the speed)",
+            read_determined(expected["coefficients"]),
+        ),
     ]
-
-
-def _list_expected(diagnosis: Mapping[str, Any]) -> Table:
-    """The deviation that the fit is expected to leave to each coefficient, in percent."""
-    judged = diagnosis["determined"]
-    by_node = judged["coefficients"]
-    names = [name for name in COEFFICIENTS if any(name in cells for cells in by_node.values())]
-    return Table(
-        f"Expected standard deviation, {judged['by']} (median over the speed)",
-        ["coefficient", *(f"bearing at node {node}" for node in by_node)],
-        [[name, *(_write_expected(cells.get(name)) for cells in by_node.values())] for name in names],
-    )
-
-
-def _write_expected(cell: Mapping[str, Any] | None) -> str:
-    if not cell:
-        return "known"
-    percent = cell["deviation_percent"]
-    return f"{write_number(percent if isinstance(percent, float) else None, digits=2)} %, {cell['verdict']}"
 
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
