@@ -30,7 +30,7 @@ from pipeline.problem.identifiability import (
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.ranking import rank
-from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
+from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -80,7 +80,8 @@ def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     reports = judge_identifiability(measurement.equations, measurement.residual, constant)
     answer = measurement.table(per_speed_least_squares(measurement.residual)[0])
     covariance = residual_covariance(measurement.rotor, measurement.dataset, answer, measurement.deviation)
-    return _of_least_squares(measurement, reports, measurement.residual, answer, covariance)
+    spread = least_squares_deviation(whiten(measurement.residual, covariance))
+    return Diagnosis(reports, answer, measurement.unknowns.expand_deviation(spread))
 
 
 def diagnose_response(
@@ -97,18 +98,8 @@ def diagnose_response(
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
     reports = judge_identifiability(expansion.equations, residual, constant)
     answer = whole.table(per_speed_least_squares(residual)[0])
-    return _of_least_squares(whole, reports, residual, answer, expansion.residual_covariance(whole.response, answer))
-
-
-def _of_least_squares(
-    measurement: Measurement,
-    reports: tuple[Identifiability, ...],
-    residual: LinearResidual,
-    answer: BearingTable,
-    covariance: np.ndarray,
-) -> Diagnosis:
-    spread = least_squares_deviation(whiten(residual, covariance))
-    return Diagnosis(reports, answer, measurement.unknowns.expand_deviation(spread))
+    spread = least_squares_deviation(whiten(residual, expansion.residual_covariance(whole.response, answer)))
+    return Diagnosis(reports, answer, whole.unknowns.expand_deviation(spread))
 
 
 # --- sensors too few for the forces at the bearings ---------------------------------------------------
