@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
+from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model_error import MeanSquareError, measure_error, noise_alone
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
@@ -140,6 +141,10 @@ def fit_from(
             continue
         before = problem
         problem = reweigh(problem, weights, factor, setup.loss.robust)
+        if start.searched is not None and setup.loss.noise == "estimated":
+            correlation, size = estimate_correlation(problem, weights)
+            factor = factor * size
+            problem = problem.correlated(correlation).scaled(1 / size)
         if turn >= choice and start.by_evidence and bool(problem.kept.any()):
             problem, weights = weigh_by_evidence(problem, weights)
         if turn == choice and not start.from_guess and selects:

@@ -194,7 +194,7 @@ def _start_by_population(
     choices = list_choices(training, setup.model.families, nodes)
     searched = search(problem, choices, setup.seed)
     first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
-    return replace(problem, functions=searched.choices.functions()), first
+    return replace(problem.correlated(searched.correlation), functions=searched.choices.functions()), first
 
 
 # --- bearing laws ----------------------------------------------------------------------------------------

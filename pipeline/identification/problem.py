@@ -263,29 +263,48 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        if self.readings.mixing:
+        if self._is_dense:
             columns = self.columns(weights)
             return columns.mT @ columns
-        products = []
+        products, beside, tie = [], [], self.readings.correlation
         for rows in self._local(weights):
             local = rows.flatten(2, 3)
             parts = torch.cat([local.real, local.imag], dim=2)
             products.append(parts.mT @ parts)
-        return self._spread(torch.stack(products).sum(0), weights)
+            if tie > 0:
+                beside.append(parts[:, 1:].mT @ parts[:, :-1])
+        alone = torch.stack(products).sum(0)
+        if not beside:
+            return self._spread(alone, weights)
+        # The inverse of a correlation that falls with each step is tridiagonal.
+        inner = alone[:, 1:-1] * (1 + tie**2)
+        diagonal = torch.cat([alone[:, :1], inner, alone[:, -1:]], dim=1) / (1 - tie**2)
+        across = self._spread(-tie / (1 - tie**2) * torch.stack(beside).sum(0), weights, 1)
+        return self._spread(diagonal, weights) + across + across.mT
 
-    def _spread(self, local: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """(G, Z + 1, Z + 1) from products (G, S, A + .. + 1, A + .. + 1) of each speed."""
+    @property
+    def _is_dense(self) -> bool:
+        """Whether noise ties more than neighbouring speeds at which every run was measured."""
+        return bool(self.readings.mixing) or (self.readings.tied and not self.measurement.dataset.complete)
+
+    def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:
+        """(G, Z + 1, Z + 1) from products (G, S, A + .. + 1, A + .. + 1) of each speed, or of each with the one before
+        (``after`` is 1).
+        """
         import torch
 
         carrier, n_active, outer = self._carrier, len(self.active), self.places.n_coefficients
-        count = carrier.shape[-1]
+        count, carrier, right = carrier.shape[-1], carrier[:, after:], carrier[:, : carrier.shape[1] - after]
         whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
         for a in range(n_active):
             weighted = carrier[a][None, :, :, None] * local[:, :, a, None, :n_active]  # (G, S, K, A)
             rows = slice(a * count, (a + 1) * count)
-            whole[:, rows, :outer] = torch.einsum("gskc,csl->gkcl", weighted, carrier).flatten(2)
+            whole[:, rows, :outer] = torch.einsum("gskc,csl->gkcl", weighted, right).flatten(2)
         across = torch.einsum("gsan,ask->gakn", local[:, :, :n_active, n_active:], carrier).flatten(1, 2)
         whole[:, :outer, outer:], whole[:, outer:, :outer] = across, across.mT
+        if after:
+            before = torch.einsum("gsna,ask->gnak", local[:, :, n_active:, :n_active], right)
+            whole[:, outer:, :outer] = before.flatten(2)
         whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
         return whole
 
@@ -304,9 +323,14 @@ class OutputError(LeastSquares):
         blocks = []
         for b, local in enumerate(self._local(weights)):
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
-            spread = torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(local.dtype)).flatten(-2)
-            blocks.append(self.readings.mix(b, torch.cat([spread, rest], dim=-1)))
+            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, weights), rest], dim=-1)))
         return blocks
+
+    def _by_weights(self, by_output: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """(G, S, P, R, A K) from derivatives (G, S, P, R, A) by the model's outputs."""
+        import torch
+
+        return torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(by_output.dtype)).flatten(-2)
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
@@ -360,6 +384,10 @@ class OutputError(LeastSquares):
     def scaled(self, share: torch.Tensor | float) -> OutputError:
         """The same with readings whose precision is this ``share`` of what it was."""
         return replace(self, readings=self.readings.scaled(share))
+
+    def correlated(self, correlation: float) -> OutputError:
+        """The same with noise that correlates like this from speed to speed."""
+        return replace(self, readings=replace(self.readings, correlation=correlation))
 
     def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
         """The problem as one of another ``kind``, with these ``changes``."""

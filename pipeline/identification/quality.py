@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import name_direction
+from pipeline.identification.correlation import autocorrelation, measure_whiteness
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
@@ -98,6 +99,8 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         },
         "bad_points": len(bad),
     }
+    if fit.problem.readings.tied and not drift:
+        summary["noise_correlation"] = fit.problem.readings.correlation
     if drift:  # runs that are conditions of their own, and do not belong to the others
         runs = zip(fit.problem.measurement.dataset.runs, drift.weights, strict=True)
         summary["inconsistent_runs"] = [run for run, weight in runs if weight < NAMED]
@@ -239,44 +242,3 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray], beyond: float = 4.
 def chi_square(deviations: Sequence[np.ndarray]) -> float:
     """Sum of the squared deviations over their root mean square, complex."""
     return float(sum((np.abs(d) ** 2).sum() for d in deviations))
-
-
-def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Correlation of complex deviations (S, P, R) at neighbouring speeds, and that over its standard deviation.
-
-    The deviation is that of independent values of any variances (see :func:`measure_whiteness`).
-    """
-    products = np.concatenate([_multiply_neighbours(d, 1).ravel() for d in deviations])
-    power = chi_square(deviations)
-    spread = float(np.sqrt((products**2).sum()))  # zero where nothing was measured
-    if power == 0 or spread == 0:
-        return 0.0, 0.0
-    return float(products.sum()) / power, float(products.sum()) / spread
-
-
-def _multiply_neighbours(deviations: np.ndarray, lag: int) -> np.ndarray:
-    """(S - lag, P, R) products of complex deviations that are ``lag`` speeds apart."""
-    return np.asarray((deviations[lag:] * deviations[:-lag].conj()).real)
-
-
-def measure_whiteness(deviations: Sequence[np.ndarray], most_lags: int = 10) -> float | None:
-    """Probability of such correlations over the speed, or of larger ones, if complex deviations (S, P, R) are white.
-
-    Each lag k gives ``t = sum w / sqrt(sum w^2)`` with the products w of deviations k speeds apart, of all series:
-    whatever their variances, t has mean 0 and variance 1 (Dalla, Giraitis and Phillips 2022, Econometric Theory 38).
-    A fit leaves its residuals negative correlations, and what a model misses is smooth: the positive t alone count,
-    and the sum of their squares is chi-bar-square (half of the lags have one, binomially). Lags go up to a fifth of
-    the speeds (Ljung and Box 1978). What was not measured is zero. None where there are too few speeds.
-    """
-    from scipy.stats import binom, chi2
-
-    speeds = max((int((block != 0).any(axis=(1, 2)).sum()) for block in deviations), default=0)
-    lags, total = min(most_lags, speeds // 5), 0.0
-    for lag in range(1, lags + 1):
-        products = np.concatenate([_multiply_neighbours(block, lag).ravel() for block in deviations])
-        spread = float((products**2).sum())
-        total += max(float(products.sum()), 0.0) ** 2 / spread if spread > 0 else 0.0
-    if lags < 1 or not np.isfinite(total):
-        return None
-    counts = np.arange(1, lags + 1)
-    return float(binom.pmf(counts, lags, 0.5) @ chi2.sf(total, counts)) if total > 0 else 1.0

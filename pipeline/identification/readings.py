@@ -41,6 +41,7 @@ class Readings:
     shares: tuple[
         np.ndarray, ...
     ] = ()  # by which readings count, as the precision has it: one, or less for those far off
+    correlation: float = 0.0  # of a reading's noise with that at the speed before
 
     @property
     def size(self) -> int:
@@ -62,16 +63,48 @@ class Readings:
         share = (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
         return rows - share * u * (u * rows).sum(3, keepdim=True)
 
+    @property
+    def tied(self) -> bool:
+        """Whether noise ties speeds together."""
+        return bool(self.mixing) or self.correlation > 0
+
     def mix(self, b: int, rows: torch.Tensor) -> torch.Tensor:
-        """Rows (G, S, P, R, n) that are :meth:`whiten`-ed, without what noise in levels shares over probes and speeds,
-        see :meth:`pipeline.problem.condition_noise.ConditionNoise.mixing`.
+        """Rows (G, S, P, R, n) that are :meth:`whiten`-ed, without what noise in levels shares over probes and speeds
+        (:meth:`pipeline.problem.condition_noise.ConditionNoise.mixing`), or what follows from the speed before.
         """
         import torch
 
-        if not self.mixing:
-            return rows
-        mixed = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
-        return torch.unflatten(mixed, 1, rows.shape[1:3])
+        if self.mixing:
+            mixed = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
+            rows = torch.unflatten(mixed, 1, rows.shape[1:3])
+        if self.correlation > 0:
+            before, ties = self._ties[b]
+            index = before[None, :, None, :, None].expand(len(rows), -1, rows.shape[2], -1, rows.shape[4])
+            factor = ties[:, None, :, None]
+            rows = (rows - factor * rows.gather(1, index)) * (1 - factor.square()).rsqrt()
+            rows = rows * self.present(b)[..., None]
+        return rows
+
+    @cached_property
+    def _ties(self) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+        """Of each block the speed (S, R) at which a run was read before, and how its noise there correlates (S, R)."""
+        import torch
+
+        every = []
+        for b in range(len(self.runs)):
+            here = self.present(b)[:, 0] > 0
+            count = torch.arange(len(here))[:, None].expand(here.shape)
+            seen = torch.where(here, count, -1).cummax(dim=0).values
+            before = torch.cat([torch.full_like(seen[:1], -1), seen[:-1]])
+            ties = torch.where(before >= 0, self.correlation ** (count - before).double(), 0.0)
+            every.append((before.clamp(min=0), ties))
+        return tuple(every)
+
+    def log_determinant(self) -> float:
+        """Of the covariance that :meth:`mix` takes away, of both parts of all readings; of noise in levels zero."""
+        present = [self.present(b)[:, 0] for b in range(len(self.runs))]
+        logs = [(here * (1 - ties.square()).log()).sum() for here, (_, ties) in zip(present, self._ties, strict=True)]
+        return 2.0 * len(self.measurement.dataset.channels) * float(sum(logs))
 
     # --- other precisions --------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ import numpy as np
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.blocks import Prior
+from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.optimizers import LeastSquares, levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.impedance import list_places
@@ -170,6 +171,7 @@ class Searched:
     weights: torch.Tensor  # (G, 1, Z)
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
+    correlation: float  # of the noise from speed to speed
 
     def mix(self, covariance: np.ndarray, beyond: float = 0.05, reach: float = 0.5) -> np.ndarray:
         """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by.
@@ -193,6 +195,8 @@ def search(
 ) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
     stated one at least. Directions of the priors whose deviation is ``small`` are left out at first.
+
+    Where the best leaves deviations that wander over the speed, the search is repeated with noise that does.
     """
     import torch
 
@@ -212,9 +216,15 @@ def search(
         whitened = replace(whitened, problem=problem.scaled(share))
         y = whitened.minimise(y, 1e-4, steps=20)
     whitened, y, evidence = _rank(whitened, y, kept)
+    if not problem.readings.tied:
+        best = replace(whitened.problem, functions=whitened.choices.functions())
+        correlation, _ = estimate_correlation(best, whitened.weights(y)[:1])
+        if correlation > 0:
+            return search(problem.correlated(correlation), choices, seed, kept, most_exact, small)
     shares = (evidence - evidence[0]).exp()
     covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
-    return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray((shares / shares.sum()).numpy()))
+    normalised, correlation = np.asarray((shares / shares.sum()).numpy()), problem.readings.correlation
+    return Searched(whitened.choices, whitened.weights(y), covariance, normalised, correlation)
 
 
 def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:
@@ -227,7 +237,9 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
     parameters = tuple(itertools.compress(measurement.parameters, kept))
     simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
-    return output_error(simpler.select(few), problem.basis, problem.plane_scale), torch.tensor(kept, dtype=torch.bool)
+    made = output_error(simpler.select(few), problem.basis, problem.plane_scale)
+    made = made.correlated(problem.readings.correlation ** (count / len(few)))
+    return made, torch.tensor(kept, dtype=torch.bool)
 
 
 def _noise(whitened: Whitened, y: torch.Tensor) -> float:

@@ -119,16 +119,25 @@ class TrainedNetworks(OutputError):
         """(G, M, S, U) outputs of the networks."""
         return self.model.raw(self.networks(weights), self.inputs)
 
-    def _spread(self, local: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    def _by_weights(self, by_output: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        """As the other, of parameters: (G, S, P, R, M Q)."""
+        import torch
+
+        return torch.einsum("gspra,gsaq->gsprq", by_output, self._slopes(weights, self.inputs).to(by_output.dtype))
+
+    def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:
         """Of networks a speed has many columns, so they are summed up at once."""
         import torch
 
         slopes, n_active, outer = self._slopes(weights, self.inputs), len(self.active), self.places.n_coefficients
+        slopes, right = slopes[:, after:], slopes[:, : slopes.shape[1] - after]
         whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
         by_slopes = slopes.flatten(1, 2).mT @ torch.cat(
-            [local[:, :, :n_active, :n_active] @ slopes, local[:, :, :n_active, n_active:]], dim=-1
+            [local[:, :, :n_active, :n_active] @ right, local[:, :, :n_active, n_active:]], dim=-1
         ).flatten(1, 2)
         whole[:, :outer], whole[:, outer:, :outer] = by_slopes, by_slopes[..., outer:].mT
+        if after:
+            whole[:, outer:, :outer] = (local[:, :, n_active:, :n_active] @ right).sum(1)
         whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
         return whole
 

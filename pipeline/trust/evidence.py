@@ -92,7 +92,7 @@ def gather(
     """
     names = name_channels(measurement)
     factor = np.array([fit["noise_factor"][name] for name in names]) if "noise_factor" in fit else np.ones(len(names))
-    linear = linearise(measurement, identified, uncertainty, fitted, factor)
+    linear = linearise(measurement, identified, uncertainty, fitted, factor, fit.get("noise_correlation", 0.0))
     answer, unfitted = identified.table(measurement.updated_known), uncertainty.unfitted
 
     def deviate(covariance: np.ndarray) -> np.ndarray:

@@ -106,12 +106,14 @@ def linearise(
     uncertainty: Uncertainty,
     fitted: np.ndarray,
     factor: np.ndarray | float = 1.0,
+    correlation: float = 0.0,
 ) -> LinearisedFit:
     """The fit of ``measurement``, at its fitted model parameters.
 
     Args:
         fitted: (S, P, R) mask of the readings that were fitted, not held out.
         factor: (P,) noise of each channel over the stated one.
+        correlation: of the noise from speed to speed.
     """
     import torch
 
@@ -121,7 +123,9 @@ def linearise(
     readings = problem.readings
     noise = [readings.deviation(b, block.numpy(), factor) for b, block in enumerate(problem.predicted(weights))]
     alone = tuple(torch.as_tensor(np.sqrt(2.0) / block) for block in noise)
-    problem = replace(problem, readings=replace(readings, precision=alone, common=(), mixing=()))
+    problem = replace(
+        problem, readings=replace(readings, precision=alone, common=(), mixing=(), correlation=correlation)
+    )
     kept = problem.fitted().numpy()
     columns = np.zeros((*data.displacement.shape, int(kept.sum()) + 1), dtype=complex)
     for runs, block in zip(problem.readings.runs, problem.columns_of_blocks(weights), strict=True):

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pipeline.identification.quality import _held_out, autocorrelation, measure_whiteness, mismatch
+from pipeline.identification.correlation import autocorrelation, measure_whiteness
+from pipeline.identification.quality import _held_out, mismatch
 from pipeline.trust.misfit import measure_misfit
 
 

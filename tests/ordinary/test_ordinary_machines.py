@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from pipeline.config.compose import compose_config
 from pipeline.identification.answer import conclude, restore
 from pipeline.identification.blocks import no_prior
+from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.fit import fit_sensors
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.output_error_start import nodes_basis
@@ -217,3 +218,27 @@ def test_simulated_readings_without_noise_are_no_trap(measurement: tuple[Any, An
     assert np.mean(np.abs(values - felt.values) < 1.96 * deviation) > 0.95
     assert np.median(np.abs(values / felt.values - 1)) < 0.02
     assert max(abs(number.value) for number in identified.parameters) < 1.0
+
+
+def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rng: np.random.Generator) -> None:
+    """Rows and their determinant are those of the whole covariance, the banded information is that of the dense rows,
+    and the correlation and the size of noise that was drawn are found; white noise has none.
+    """
+    plain, tie = at_nodes.problem, 0.95
+    problem, steps = plain.correlated(tie), np.arange(len(plain.measurement.dataset.speeds))
+    covariance = tie ** np.abs(steps[:, None] - steps)
+    off, mixed = (each.deviations(at_nodes.weights)[0][0].numpy() for each in (plain, problem))
+    square = np.einsum("spr,st,tpr->", off.conj(), np.linalg.inv(covariance), off).real
+    assert (np.abs(mixed) ** 2).sum() == pytest.approx(square)
+    logarithm = 2 * off[0].size * np.linalg.slogdet(covariance)[1]
+    assert problem.readings.log_determinant() == pytest.approx(logarithm)
+    jacobian = problem.jacobian(at_nodes.weights)[0, 0]
+    np.testing.assert_allclose(problem.normal(at_nodes.weights)[1][0, 0], jacobian.mT @ jacobian, rtol=1e-9, atol=1e-6)
+    white = (rng.standard_normal((2, *off.shape)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0)
+    wandering = np.einsum("st,tpr->spr", np.linalg.cholesky(covariance), white)
+    for drawn, least, most in ((white, 0.0, 0.0), (wandering, 0.92, 0.98)):
+        read = plain.predicted(at_nodes.weights)[0] + torch.as_tensor(1.3 * drawn) / plain.readings.precision[0]
+        again = replace(plain, readings=replace(plain.readings, measured=(read,), common=()))
+        correlation, size = estimate_correlation(again, at_nodes.weights)
+        assert least <= correlation <= most
+        assert size == pytest.approx(1.3 if correlation else 1.0, rel=0.25)
