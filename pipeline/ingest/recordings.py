@@ -174,7 +174,7 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
 
 
 def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
-    with open_measured(path, "NumPy file (.npz)"), np.load(path, allow_pickle=False) as file:
+    with open_measured(path, "NumPy file (.npz)"), np.load(path) as file:
         for name in (*names, *([rate] if rate else [])):
             if name not in file.files:
                 raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, file.files)}")
