@@ -21,8 +21,6 @@ from pipeline.identification.residual_loss import ResidualTraining, initial_para
 from pipeline.identification.training import FitSetup, Minimum, Progress, Watch, minimise
 from pipeline.problem.measurement import Measurement
 
-FOREVER = 100_000  # patience: no early stopping
-
 
 def optimizer(
     adam: int = 0,
@@ -30,7 +28,7 @@ def optimizer(
     lm: int = 0,
     rate: float = 0.1,
     final: float = 1e-3,
-    patience: int = FOREVER,
+    patience: int = 100_000,  # no early stopping
 ) -> OptimizerConfig:
     """Phases of so many steps."""
     return OptimizerConfig(

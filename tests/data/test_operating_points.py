@@ -130,17 +130,19 @@ def test_a_condition_without_its_unit_is_refused(column: str, words: str, tmp_pa
         read(tmp_path, [[column if name == "oil_temperature_degC" else name for name in header], *rows])
 
 
-def test_a_condition_that_some_rows_lack_is_named_with_run_speed_and_row(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("row", "text", "words"),
+    [
+        (5, "", "must have oil_temperature in every row, but row 6 has none (run 'a', 100 rpm; 1 rows in all)"),
+        (2, "-999", "above absolute zero in the column 'oil_temperature_degC', but row 3 has -999"),
+    ],
+)
+def test_a_condition_that_a_row_lacks_or_that_no_thermometer_reads(
+    row: int, text: str, words: str, tmp_path: Path
+) -> None:
     _, (header, *rows) = rows_of(grid(), tmp_path)
-    rows[5][2] = ""
-    with refused("must have oil_temperature in every row, but row 6 has none (run 'a', 100 rpm; 1 rows in all)"):
-        read(tmp_path, [header, *rows])
-
-
-def test_a_temperature_below_absolute_zero_is_no_reading(tmp_path: Path) -> None:
-    _, (header, *rows) = rows_of(grid(), tmp_path)
-    rows[2][2] = "-999"
-    with refused("above absolute zero in the column 'oil_temperature_degC', but row 3 has -999"):
+    rows[row][2] = text
+    with refused(words):
         read(tmp_path, [header, *rows])
 
 

@@ -16,13 +16,12 @@ from pipeline.evaluation.errors import measure_unmeasured, model_unmeasured
 from pipeline.units import RAD_S_PER_RPM
 
 OIL = ("machine=compressor_oil_temperatures", "model=law", "loss=response", "robustness=refits")
-ASKED = "machine.unmeasured.oil_temperature=[70 degC,40 degC]"
 SPEEDS = np.tile([1000.0, 2000.0], 3) * RAD_S_PER_RPM
 EIGHT = ("kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy")
 
 
 def test_each_speed_once_at_each_condition() -> None:
-    table = model_unmeasured(compose_config([*OIL, ASKED]), SPEEDS)
+    table = model_unmeasured(compose_config([*OIL, "machine.unmeasured.oil_temperature=[70 degC,40 degC]"]), SPEEDS)
     assert table is not None
     np.testing.assert_allclose(table.operating["oil_temperature"] - 273.15, [40, 40, 70, 70])
     np.testing.assert_allclose(table.speeds, np.tile(SPEEDS[:2], 2))

@@ -87,16 +87,6 @@ def test_outputs_make_the_same_of_arrays_and_of_tensors(raw: float, size: float,
     assert outputs_of(np.array([-1.0]), 1.0, np.array([True]), 1e-3) == np.log(1e-3)
 
 
-@given(raw=st.floats(-20, 20), scale=st.floats(1e2, 1e9))
-def test_slope_of_the_parametrisation(raw: float, scale: float) -> None:
-    """d exp(r) / dr = exp(r), dr / dr = 1, times the scale."""
-    at, size = torch.tensor([raw], dtype=torch.float64), torch.tensor([scale], dtype=torch.float64)
-    for parametrisation in ("log", "scaled"):
-        model = a_model(None, parametrisation=parametrisation, unknowns=1)
-        wanted = torch.autograd.functional.jacobian(lambda r, model=model: model.physical(r, size)[0], at)
-        torch.testing.assert_close(model.physical(at, size)[1], wanted[0], rtol=1e-14, atol=0)
-
-
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
 @pytest.mark.parametrize("guess", [1.0, 3e4, 1e8])
 def test_constants_start_at_the_guess(parametrisation: str, guess: float, ball: Machine) -> None:

@@ -254,15 +254,8 @@ Bad = Callable[[np.random.Generator], object]
 SHAFT = Shaft(5000.0, 900.0, 900.0, 4.0)
 
 
-TIGHT = Settings(revolutions=3.0)
-
-
 def _pulses(signal: np.ndarray, threshold: float | None = None, hysteresis: float | None = None) -> np.ndarray:
     return find_pulses(SHAFT.time[: len(signal)], signal, "rising", threshold, hysteresis, "'run.h5'")[0]
-
-
-def _without(rng: np.random.Generator, drop: int) -> np.ndarray:
-    return np.delete(_pulses(SHAFT.tacho(rng)), drop)
 
 
 BAD: dict[str, tuple[Bad, str]] = {
@@ -273,7 +266,10 @@ BAD: dict[str, tuple[Bad, str]] = {
         lambda rng: fit_angle(_pulses(rng.standard_normal(20000)), 1, "'run.h5'"),
         "must have evenly spaced tacho pulses",
     ),
-    "one missing": (lambda rng: fit_angle(_without(rng, 20), 1, "'run.h5'"), "missing or doubled"),
+    "one missing": (
+        lambda rng: fit_angle(np.delete(_pulses(SHAFT.tacho(rng)), 20), 1, "'run.h5'"),
+        "missing or doubled",
+    ),
     "one twice": (
         lambda rng: fit_angle(np.sort(np.append(_pulses(SHAFT.tacho(rng)), 2.02)), 1, "'run.h5'"),
         "missing or doubled",
@@ -296,7 +292,9 @@ BAD: dict[str, tuple[Bad, str]] = {
         "samples a revolution for 3 orders, but at 2000 rpm it has 9",
     ),
     "too few revolutions": (
-        lambda rng: tracked(SHAFT, Shaft(5000.0, 600.0, 3000.0, 20.0).recorded(0.0, rng), np.array([900.0]), TIGHT),
+        lambda rng: tracked(
+            SHAFT, Shaft(5000.0, 600.0, 3000.0, 20.0).recorded(0.0, rng), np.array([900.0]), Settings(revolutions=3.0)
+        ),
         "must have enough revolutions in a window to tell the orders apart",
     ),
     "beyond the run-up": (

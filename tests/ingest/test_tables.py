@@ -380,13 +380,3 @@ def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
     for name in ("date", "true"):
         with refused("must have finite numbers in the column 'a', but row 2 has"):
             read_table(tmp_path / f"{name}.xlsx", kinds)
-
-
-def test_a_row_with_more_fields_than_the_header_is_refused(tmp_path: Path) -> None:
-    """A decimal comma among commas would move the columns without a word."""
-    path = tmp_path / "t.csv"
-    path.write_text("a,b\n1,5,2\n3,5,4\n")
-    with refused("must be a CSV table, but it can't be read as one"):
-        read_table(path, {"a": "number", "b": "number"})
-    path.write_text("a;b\n1,5;2\n3,5;4\n")
-    assert read_table(path, {"a": "number"}, text=CsvConfig(delimiter=";", decimal=","))["a"].tolist() == [1.5, 3.5]

@@ -143,12 +143,16 @@ WEIGHTS: dict[str, Callable[[Path], object]] = {
 }
 
 
-ACCOUNTS = ["", "[]", "null", "{", '{"data_fingerprint": 1}', "[" * 100_000, "\xff"]
-HISTORIES = ["", "x,y\n1,2\n", "step,phase,loss\n1,adam,many\n", "\0\0"]
 TRAINED: list[tuple[str, Callable[[Path], object], str]] = [
     *(("model.safetensors", damage, "must hold a complete trained model") for damage in WEIGHTS.values()),
-    *(("training.json", lambda path, text=text: path.write_text(text, encoding="latin-1"), "") for text in ACCOUNTS),
-    *(("history.csv", lambda path, text=text: path.write_text(text), "") for text in HISTORIES),
+    *(
+        ("training.json", lambda path, text=text: path.write_text(text, encoding="latin-1"), "")
+        for text in ["", "[]", "null", "{", '{"data_fingerprint": 1}', "[" * 100_000, "\xff"]
+    ),
+    *(
+        ("history.csv", lambda path, text=text: path.write_text(text), "")
+        for text in ["", "x,y\n1,2\n", "step,phase,loss\n1,adam,many\n", "\0\0"]
+    ),
 ]
 
 

@@ -73,11 +73,6 @@ def readings(change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
     return replace(truth(), dataset=replace(data, displacement=change(data.displacement)))
 
 
-def of_run(run: int, change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
-    """Other readings of one run."""
-    return readings(lambda all_of: np.where(np.arange(3) == run, change(all_of), all_of))
-
-
 def of_probe(probe: int, change: Callable[[np.ndarray], np.ndarray]) -> Measurement:
     """Other readings of one probe."""
     return readings(lambda all_of: np.where((np.arange(4) == probe)[:, None], change(all_of), all_of))
@@ -124,7 +119,10 @@ CASES: dict[str, Case] = {
     "peak-to-peak for zero-to-peak": Case(lambda: readings(lambda q: 2 * q), "peak-to-peak amplitudes taken for zero"),
     "zero-to-peak for rms": Case(lambda: readings(lambda q: q / 2**0.5), "rms amplitudes taken for zero-to-peak"),
     "lag for lead": Case(lambda: readings(np.conj), "all readings have the wrong sign (lag for lead"),
-    "lag for lead in one run": Case(lambda: of_run(1, np.conj), "phases of run 'second' have the wrong sign"),
+    "lag for lead in one run": Case(
+        lambda: readings(lambda q: np.where(np.arange(3) == 1, np.conj(q), q)),
+        "phases of run 'second' have the wrong sign",
+    ),
     "the tacho at the other edge": Case(lambda: readings(lambda q: q * np.exp(0.35j)), "turned by 20 deg"),
     "the tacho opposite": Case(lambda: readings(lambda q: -q), "turned by 180 deg: the tacho at the other edge"),
     "two probes of a bearing exchanged": Case(

@@ -118,13 +118,14 @@ LUND_THOMSEN_SOMEYA = np.array(
 )
 LOAD, CLEARANCE = 892.7, 0.1e-3  # N, m
 LENGTH, BORE = 49.9e-3, 99.8e-3  # m
-VISCOSITY = 0.0277 * np.exp(0.034 * (40 - 55))  # Pa s at 55 deg C
 
 
 def dtu_bearings(rpm: np.ndarray) -> BearingTable:
     """Bearing A from the table, by splines over the logarithm of the speed; bearing B isotropic, 1e9 N/m."""
     sommerfeld, pure = LUND_THOMSEN_SOMEYA[:, 0], LUND_THOMSEN_SOMEYA[:, [1, 2, 3, 4, 5, 6, 6, 7]]
-    turns = sommerfeld / (VISCOSITY * LENGTH * BORE / LOAD * (BORE / 2 / CLEARANCE) ** 2)  # 1/s
+    turns = sommerfeld / (
+        0.0277 * np.exp(0.034 * (40 - 55)) * LENGTH * BORE / LOAD * (BORE / 2 / CLEARANCE) ** 2
+    )  # 1/s
     rows = pure * LOAD / CLEARANCE
     rows[:, 4:] /= 2 * np.pi * turns[:, None]
     values = np.zeros((2, len(rpm), len(COEFFICIENTS)))

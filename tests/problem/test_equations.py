@@ -81,11 +81,6 @@ def some_table(machine: Machine, rng: np.random.Generator) -> BearingTable:
     return replace(true, values=true.values * rng.uniform(-2, 2, true.values.shape))
 
 
-def nothing_known(machine: Machine) -> BearingTable:
-    """No coefficient is known: zeros, which must not be read."""
-    return replace(machine.bearings, values=np.full_like(machine.bearings.values, np.nan))
-
-
 @pytest.mark.parametrize("name", ["hydrostatic", "ball"])
 @pytest.mark.parametrize("probes", ["all nodes", "bearings"])
 def test_residual_is_zero_at_the_truth(name: str, probes: str, request: pytest.FixtureRequest) -> None:
@@ -323,7 +318,8 @@ def test_least_squares_of_all_eight(hydrostatic: Machine) -> None:
     """method.md, section 3: unbalance runs on two journal bearings have rank 2 and a condition number of 1e3
     to 1e5, which clean data in double precision bear: 1e-8 is asked, and what is reached is printed.
     """
-    system = residual_in(hydrostatic.equations, COEFFICIENTS, nothing_known(hydrostatic))
+    unread = replace(hydrostatic.bearings, values=np.full_like(hydrostatic.bearings.values, np.nan))
+    system = residual_in(hydrostatic.equations, COEFFICIENTS, unread)
     found, condition = per_speed_least_squares(system)
     true = hydrostatic.bearings.values
     error = float((np.linalg.norm(found - true, axis=-1) / np.linalg.norm(true, axis=-1)).max())

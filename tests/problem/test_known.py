@@ -20,7 +20,6 @@ from pipeline.errors import ConfigError
 from pipeline.problem.configured import load_known
 from pipeline.stages.measurement import load_measurement
 
-REST = [name for name in COEFFICIENTS if name not in ("kxx", "kyy")]
 SPEEDS = np.array([100.0, 200.0])
 
 
@@ -33,7 +32,11 @@ def one_row(mine: Path, **speed: str) -> str:
 
 def values(mine: Path) -> dict[str, str]:
     first = pd.read_csv(mine / "known_coefficients.csv").iloc[0]
-    return {name: f"{float(first[name])!r} {'N/m' if name.startswith('k') else 'N s/m'}" for name in REST}
+    return {
+        name: f"{float(first[name])!r} {'N/m' if name.startswith('k') else 'N s/m'}"
+        for name in COEFFICIENTS
+        if name not in ("kxx", "kyy")
+    }
 
 
 @pytest.mark.parametrize("way", ["one row", "a blank speed", "values", "bearings"])

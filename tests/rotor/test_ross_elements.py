@@ -27,7 +27,6 @@ from pipeline.rotor.stored import load_rotor
 from pipeline.twin.modes import find_modes
 
 RS = ross()
-FILE = RotorFileBearingConfig(kind="rotor_file")
 SPEEDS = np.linspace(25.0, 590.0, 23)
 GRID = np.linspace(10.0, 600.0, 9)
 STEEL = RS.Material("steel", rho=7810, E=211e9, G_s=81.2e9)
@@ -172,7 +171,7 @@ def saved(parts: Parts, path: Path) -> tuple[Any, RotorConfig]:
 
 def read(config: RotorConfig, speeds: np.ndarray = SPEEDS) -> tuple[RotorModel, BearingTable, VibrationDataset]:
     """What the pipeline makes of a file, and its unbalance response."""
-    model, table = assemble(config), bearing_table(config, FILE, speeds)
+    model, table = assemble(config), bearing_table(config, RotorFileBearingConfig(kind="rotor_file"), speeds)
     assert table.nodes == model.bearing_nodes
     return model, table, simulate(model, table, (UNBALANCE,), None)
 

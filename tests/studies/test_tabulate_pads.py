@@ -14,7 +14,6 @@ from pipeline.laws.table import FOLDER, packaged_tables, read_film_table
 
 LUND = np.loadtxt(FOLDER / "lund_thomsen_two_axial_groove.csv", delimiter=",", skiprows=5)
 TWO = (0.0, np.pi)
-FIVE = tuple(np.radians([36.0, 108.0, 180.0, 252.0, 324.0]))
 
 
 def far(found: np.ndarray, wanted: np.ndarray) -> float:
@@ -59,7 +58,12 @@ def test_the_packaged_elliptical_table_without_preload_is_the_published_plain_on
     ("name", "bearing"),
     [
         ("elliptical", PadBearing(TWO, np.radians(160), 0.5, 0.5, elements=(160, 10))),
-        ("tilting_pad", PadBearing(FIVE, np.radians(60), 0.45, 0.5, True, elements=(60, 8))),
+        (
+            "tilting_pad",
+            PadBearing(
+                tuple(np.radians([36.0, 108.0, 180.0, 252.0, 324.0])), np.radians(60), 0.45, 0.5, True, elements=(60, 8)
+            ),
+        ),
     ],
 )
 def test_a_packaged_table_is_what_its_command_makes(name: str, bearing: PadBearing) -> None:

@@ -139,10 +139,6 @@ def test_a_trial_that_died_before_its_first_heartbeat_is_repeated(make: Make, un
     assert [trial.state.name for trial in trials_of(problem)] == ["FAIL", "COMPLETE", "COMPLETE"]
 
 
-def _with_space(problem: StudyProblem, **dimensions: Any) -> StudyProblem:
-    return with_tuning(problem, space=dict(problem.config.tuning.space) | dimensions)
-
-
 def _reorder(problem: StudyProblem) -> StudyProblem:
     space = dict(problem.config.tuning.space)
     return with_tuning(problem, space={"rate": space.pop("rate")} | space)
@@ -168,7 +164,11 @@ def _with_other_known(problem: StudyProblem) -> StudyProblem:
 
 CHANGES: dict[str, tuple[Callable[[StudyProblem], StudyProblem], list[str]]] = {
     "a range": (
-        lambda p: _with_space(p, rate=p.config.tuning.space["rate"].model_copy(update={"high": 0.5})),
+        lambda p: with_tuning(
+            p,
+            space=dict(p.config.tuning.space)
+            | {"rate": p.config.tuning.space["rate"].model_copy(update={"high": 0.5})},
+        ),
         ["the search space changed (rate)"],
     ),
     "a dimension less": (_shorten, ["the search space changed (damping, its order)"]),
