@@ -31,7 +31,7 @@ STATEMENTS = {
     "evaluation": 226,
     "twin": 472,
     "balance": 653,
-    "trust": 690,
+    "trust": 693,
     "export": 199,
     "methods": 583,
     "comparison": 147,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17520, 14500),
+    "statements of pipeline/": (17523, 14500),
     "files": (265, 250),
     "classes": (322, 260),
     "is None, is not None": (339, 420),

@@ -181,16 +181,32 @@ def _judge_runs(evidence: Evidence) -> list[Reason]:
     return []
 
 
-def _judge_priors(evidence: Evidence) -> list[Reason]:
-    """Whether a number of the model moved further than its tolerance allows (two deviations, by Bonferroni)."""
-    from scipy.stats import norm
+def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
+    """Whether a number of the model moved further than its tolerance allows (two deviations, by Bonferroni).
 
-    limit = max(2.0, float(norm.isf(0.025 / max(len(evidence.priors), 1))))
-    shifted = {name: abs(value) for name, value in evidence.priors.items() if abs(value) > limit}
+    Where all of them together moved as right tolerances ``never`` do, by chi-square, they stand for what the model
+    lacks, and so may the coefficients.
+    """
+    from scipy.stats import chi2, norm
+
+    moves = {name: abs(value) for name, value in evidence.priors.items()}
+    limit = max(2.0, float(norm.isf(0.025 / max(len(moves), 1))))
+    shifted = {name: move for name, move in moves.items() if move > limit}
     if not shifted:
         return []
-    name = rank(shifted)[0]
+    name, square = rank(shifted)[0], sum(move**2 for move in moves.values())
     number = name.replace("_", " ")
+    if chi2.sf(square, len(moves)) < never:
+        return [
+            Reason(
+                Verdict.NO,
+                f"The data ask for numbers of rotor, weights and probes that are {np.sqrt(square / len(moves)):.2g} "
+                f"times as far from the stated ones as their tolerances allow ({number} {shifted[name]:.1f} of them): "
+                "the model lacks something.",
+                "Look for what differs between the runs or is not in the model: bearings that drift, a support, a "
+                f"coupling; measure {number} again.",
+            )
+        ]
     return [
         Reason(
             Verdict.WITH_CARE,

@@ -102,6 +102,16 @@ def test_a_growth_within_its_deviation_turns_nothing() -> None:
     assert "9 +- 1 1/s" in judged["machine"]["reason"]
 
 
+@pytest.mark.parametrize(
+    ("moves", "verdict"), [((1.0, 2.0), "good"), ((2.5, 0.0), "with care"), ((5.9, 3.9, 3.2, 3.9), "no")]
+)
+def test_numbers_that_moved_beyond_their_tolerances_speak_against_the_model(
+    moves: tuple[float, ...], verdict: str
+) -> None:
+    judged = record(gathered(priors={f"probe_gain {i}": move for i, move in enumerate(moves)}))["machine"]
+    assert (judged["verdict"], "the model lacks something" in judged["reason"]) == (verdict, verdict == "no")
+
+
 def test_a_run_is_blamed_where_sums_of_runs_object() -> None:
     judged = record(gathered(superposed={"a": 16.0, "b": 2.0}, predicted={"a": 9.0, "b": 9.0}))["machine"]
     assert "Run 'a' contradicts the sum of other runs: it lies 4 times its noise away." in judged["reason"]
