@@ -201,8 +201,8 @@ def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
             Reason(
                 Verdict.NO,
                 f"The data ask for numbers of rotor, weights and probes that are {np.sqrt(square / len(moves)):.2g} "
-                f"times as far from the stated ones as their tolerances allow ({number} {shifted[name]:.1f} of them): "
-                "the model lacks something.",
+                f"times as far from the stated ones as their tolerances allow, most of all {number} (by "
+                f"{shifted[name]:.1f} tolerances): the model lacks something.",
                 "Look for what differs between the runs or is not in the model: bearings that drift, a support, a "
                 f"coupling; measure {number} again.",
             )

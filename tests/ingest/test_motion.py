@@ -64,9 +64,7 @@ def test_the_velocity_of_a_known_displacement_gives_it_back(
     """Accelerations, too, in any unit, and of forces with a frequency of their own."""
     kind, name, size = unit
     path = tmp_path_factory.mktemp("motion") / "all.csv"
-    moved(["length", "velocity", "acceleration"].index(kind), size, ratio or 1.0, amplitude).to_csv(
-        path, index=False
-    )
+    moved(["length", "velocity", "acceleration"].index(kind), size, ratio or 1.0, amplitude).to_csv(path, index=False)
     runs = RUNS
     if ratio:
         force = [{"node": 1, "magnitude": "1 N", "phase": "0 deg", "whirl": "forward"}]
