@@ -67,7 +67,6 @@ def test_the_screen_names_states_numbers_and_what_lies_outside(folder: Path) -> 
 
 def test_the_report_follows_the_condition_that_is_asked_for(run: Run, folder: Path) -> None:
     run("report", [*MACHINE, asked(72)], folder)
-    assert json.loads((folder / "prediction.json").read_text())["operating"]["oil_temperature"] == pytest.approx(345.15)
     page = (folder / "report.html").read_text()
     for words in ("72 degC (not measured)", "Numbers of the bearing laws", "outside the measured 45 to 65 degC"):
         assert words in page
