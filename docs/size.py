@@ -25,7 +25,7 @@ STATEMENTS = {
     "rotor": 693,
     "data": 1039,
     "sweep": 249,
-    "ingest": 1318,
+    "ingest": 1320,
     "problem": 1661,
     "identification": 2604,
     "evaluation": 226,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17523, 14500),
+    "statements of pipeline/": (17525, 14500),
     "files": (265, 250),
     "classes": (322, 260),
     "is None, is not None": (339, 420),

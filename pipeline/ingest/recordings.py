@@ -174,17 +174,22 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
 
 
 def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
-    with open_measured(path, "NumPy file (.npz)"), np.load(path) as file:
-        for name in (*names, *([rate] if rate else [])):
-            if name not in file.files:
-                raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, file.files)}")
-        channels = {name: file[name] for name in names}
-        for name, values in channels.items():
-            if values.ndim != 1 or values.dtype.kind not in "iuf":
-                found = f"{values.dtype} of shape {values.shape}"
+    """Each array by itself: np.load would open objects, too, where it is asked to."""
+    from zipfile import ZipFile
+
+    with open_measured(path, "NumPy file (.npz)"), ZipFile(path) as file:
+        stored = [name.removesuffix(".npy") for name in file.namelist()]
+        wanted = (*names, *([rate] if rate else []))
+        for name in wanted:
+            if name not in stored:
+                raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, stored)}")
+        every = {name: np.lib.format.read_array(file.open(f"{name}.npy")) for name in wanted}
+        for name in names:
+            if every[name].ndim != 1 or every[name].dtype.kind not in "iuf":
+                found = f"{every[name].dtype} of shape {every[name].shape}"
                 raise DataError(f"'{path}' must have one row of numbers in '{name}', but it has {found}")
-        stated = float(file[rate].reshape(-1)[0]) if rate else None
-        return {name: values.astype(float) for name, values in channels.items()}, stated
+        stated = float(every[rate].reshape(-1)[0]) if rate else None
+        return {name: every[name].astype(float) for name in names}, stated
 
 
 def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
