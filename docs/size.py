@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1320,
     "problem": 1661,
-    "identification": 2604,
+    "identification": 2605,
     "evaluation": 226,
     "twin": 472,
     "balance": 653,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17525, 14500),
+    "statements of pipeline/": (17526, 14500),
     "files": (265, 250),
     "classes": (322, 260),
     "is None, is not None": (339, 420),

@@ -22,16 +22,18 @@ GRID = (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
 
 
 def estimate_correlation(
-    problem: OutputError, weights: torch.Tensor, seen: float = 3.0, sure: float = 6.0
+    problem: OutputError, weights: torch.Tensor, seen: float = 3.0, sure: float = 6.0, small: float = 0.25
 ) -> tuple[float, float]:
     """The correlation from speed to speed about the weights (1, 1, Z), and the noise over that of the readings.
 
     It is zero, and the noise as it was, where neighbouring deviations correlate by less than ``seen`` standard
-    deviations, or twice the logarithm of the likelihood gains less than ``sure``.
+    deviations, or twice the logarithm of the likelihood gains less than ``sure``; and where what is left over is
+    ``small`` beside the noise (mean square), as in data without any, whose rest is what functions can't follow.
     """
     plain = problem.correlated(0.0)
     off = [block[0].numpy() for block in plain.deviations(weights)]
-    if autocorrelation(off)[1] < seen:
+    square = sum((np.abs(block) ** 2).sum() for block in off) / plain.readings.size
+    if autocorrelation(off)[1] < seen or square < small:
         return 0.0, 1.0
     blocks, fitted = plain.columns_of_blocks(weights), plain.fitted()
     tried = [_measure(plain.correlated(r), weights, blocks, fitted) for r in GRID]
