@@ -25,13 +25,13 @@ STATEMENTS = {
     "rotor": 693,
     "data": 1039,
     "sweep": 249,
-    "ingest": 1320,
+    "ingest": 1318,
     "problem": 1661,
-    "identification": 2605,
+    "identification": 2602,
     "evaluation": 226,
     "twin": 472,
     "balance": 653,
-    "trust": 693,
+    "trust": 697,
     "export": 199,
     "methods": 583,
     "comparison": 147,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17526, 14500),
+    "statements of pipeline/": (17525, 14500),
     "files": (265, 250),
     "classes": (322, 260),
     "is None, is not None": (339, 420),

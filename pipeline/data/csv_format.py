@@ -81,9 +81,7 @@ def recognize_csv(path: Path, names: Collection[str], stated: CsvConfig, head: i
 
 
 def describe_format(path: Path, names: Collection[str], stated: CsvConfig) -> tuple[str, ...]:
-    """What was recognised of a CSV file, as a sentence; none where it is usual, stated, or the file is no CSV."""
-    if path.suffix.lower() not in ("", ".csv", ".txt"):
-        return ()
+    """What was recognised of a CSV file, as a sentence; none where it is usual or stated."""
     made = recognize_csv(path, names, stated).model_dump(exclude_none=True)
     told = {key for key, usual in USUAL.items() if getattr(stated, key) is None and made[key] != usual}
     line = made["skip_rows"] + 1

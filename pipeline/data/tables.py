@@ -249,6 +249,11 @@ _READERS: dict[str, Callable[[Path, Mapping[str, str], CsvConfig], _Table]] = {
 """By a file's ending; any other is CSV."""
 
 
+def is_csv(path: Path) -> bool:
+    """Whether a table is read as CSV."""
+    return path.suffix.lower() not in _READERS
+
+
 def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
     """NaN for a number that is null. By DLPack: pyarrow's own way to numpy imports pandas."""
     import pyarrow as pa

@@ -18,13 +18,18 @@ from pipeline.identification.problem import OutputError
 if TYPE_CHECKING:
     import torch
 
-GRID = (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99)
-
 
 def estimate_correlation(
-    problem: OutputError, weights: torch.Tensor, seen: float = 3.0, sure: float = 6.0, small: float = 0.25
+    problem: OutputError,
+    weights: torch.Tensor,
+    *,
+    tried: Sequence[float] = (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.99),
+    seen: float = 3.0,
+    sure: float = 6.0,
+    small: float = 0.25,
 ) -> tuple[float, float]:
-    """The correlation from speed to speed about the weights (1, 1, Z), and the noise over that of the readings.
+    """The likeliest of the correlations ``tried`` (zero first) from speed to speed, about the weights (1, 1, Z), and
+    the noise over that of the readings.
 
     It is zero, and the noise as it was, where neighbouring deviations correlate by less than ``seen`` standard
     deviations, or twice the logarithm of the likelihood gains less than ``sure``; and where what is left over is
@@ -36,17 +41,19 @@ def estimate_correlation(
     if autocorrelation(off)[1] < seen or square < small:
         return 0.0, 1.0
     blocks, fitted = plain.columns_of_blocks(weights), plain.fitted()
-    tried = [_measure(plain.correlated(r), weights, blocks, fitted) for r in GRID]
-    best = int(np.argmin([criterion for criterion, _ in tried]))
-    if tried[0][0] - tried[best][0] < sure:
+    measured = [_measure(plain.correlated(r), weights, blocks, fitted) for r in tried]
+    best = int(np.argmin([criterion for criterion, _ in measured]))
+    if measured[0][0] - measured[best][0] < sure:
         return 0.0, 1.0
-    return GRID[best], tried[best][1]
+    return tried[best], measured[best][1]
 
 
 def _measure(
     problem: OutputError, weights: torch.Tensor, blocks: Sequence[torch.Tensor], fitted: torch.Tensor, turns: int = 12
 ) -> tuple[float, float]:
-    """Minus twice the logarithm of the restricted likelihood at the likeliest size of the noise, and that size."""
+    """Minus twice the logarithm of the restricted likelihood at the likeliest size of the noise, and that size: what is
+    left over by the numbers that the fit did not take, a fixed point in so many ``turns``.
+    """
     import torch
 
     mixed = [problem.readings.mix(b, block)[0].flatten(0, 2) for b, block in enumerate(blocks)]
@@ -54,20 +61,17 @@ def _measure(
     rows = rows[:, torch.cat([fitted, torch.ones(1, dtype=torch.bool)])]
     products, count, square = rows.mT @ rows, problem.readings.size, 1.0
     known = problem.prior.information()[fitted][:, fitted]
-    pull, held = (
-        problem.prior.gradient(weights[:, 0])[0, fitted],
-        problem.prior.deviations(weights[:, 0]).square().sum(),
-    )
+    pull = problem.prior.gradient(weights[:, 0])[0, fitted]
     for _ in range(turns):
         told = products[:-1, :-1] / square
         information = told + known
         step = -torch.linalg.solve(information, products[:-1, -1] / square + pull)
         left = float(products[-1, -1] + 2 * step @ products[:-1, -1] + step @ products[:-1, :-1] @ step)
-        prior = float(held + 2 * step @ pull + step @ known @ step)
-        criterion = count * np.log(square) + left / square + prior + float(torch.linalg.slogdet(information)[1])
         used = float(torch.linalg.solve(information, told).diagonal().sum())
         square = left / max(count - used, 1.0)
-    return criterion + problem.readings.log_determinant(), float(np.sqrt(square))
+    # What priors deviate by before the step is alike for all that is tried.
+    prior = float(2 * step @ pull + step @ known @ step) + float(torch.linalg.slogdet(information)[1])
+    return count * np.log(square) + left / square + prior + problem.readings.log_determinant(), float(np.sqrt(square))
 
 
 def autocorrelation(deviations: Sequence[np.ndarray]) -> tuple[float, float]:

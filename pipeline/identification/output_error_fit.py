@@ -143,8 +143,7 @@ def fit_from(
         problem = reweigh(problem, weights, factor, setup.loss.robust)
         if start.searched is not None and setup.loss.noise == "estimated":
             correlation, size = estimate_correlation(problem, weights)
-            factor = factor * size
-            problem = problem.correlated(correlation).scaled(1 / size)
+            problem, factor = problem.correlated(correlation).scaled(1 / size), factor * size
         if turn >= choice and start.by_evidence and bool(problem.kept.any()):
             problem, weights = weigh_by_evidence(problem, weights)
         if turn == choice and not start.from_guess and selects:

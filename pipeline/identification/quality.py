@@ -99,7 +99,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         },
         "bad_points": len(bad),
     }
-    if fit.problem.readings.tied and not drift:
+    if fit.problem.readings.correlation > 0:
         summary["noise_correlation"] = fit.problem.readings.correlation
     if drift:  # runs that are conditions of their own, and do not belong to the others
         runs = zip(fit.problem.measurement.dataset.runs, drift.weights, strict=True)

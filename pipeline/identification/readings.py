@@ -38,9 +38,7 @@ class Readings:
     mixing: tuple[torch.Tensor, ...]  # (R, S P, S P) where noise ties probes and speeds together; none elsewhere
     precision: tuple[torch.Tensor, ...] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation, for both parts
     common: tuple[torch.Tensor, ...] = ()  # likewise, a subtracted baseline's deviation over the own one; none without
-    shares: tuple[
-        np.ndarray, ...
-    ] = ()  # by which readings count, as the precision has it: one, or less for those far off
+    shares: tuple[np.ndarray, ...] = ()  # by which the precision has the readings count: less than one if far off
     correlation: float = 0.0  # of a reading's noise with that at the speed before
 
     @property
@@ -101,7 +99,7 @@ class Readings:
         return tuple(every)
 
     def log_determinant(self) -> float:
-        """Of the covariance that :meth:`mix` takes away, of both parts of all readings; of noise in levels zero."""
+        """That of the covariance which :attr:`correlation` gives both parts of all readings; zero without any."""
         present = [self.present(b)[:, 0] for b in range(len(self.runs))]
         logs = [(here * (1 - ties.square()).log()).sum() for here, (_, ties) in zip(present, self._ties, strict=True)]
         return 2.0 * len(self.measurement.dataset.channels) * float(sum(logs))

@@ -27,7 +27,7 @@ from pipeline.config.quantities import to_base
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
-from pipeline.data.tables import Columns, read_table
+from pipeline.data.tables import Columns, is_csv, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
@@ -137,7 +137,7 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
             rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
         tracks[name] = _make_track(config, run, name, rows, pair, where)
         phases.append(rows[pair.phase])
-    notes = describe_format(path, kinds, text) + note_cut(path)
+    notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
     notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
     return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=_average_conditions(config, table))
 
@@ -214,8 +214,6 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) ->
 
 def note_cut(path: Path) -> tuple[str, ...]:
     """A note on a CSV file whose last row may lack digits: nothing else shows it."""
-    if path.suffix.lower() in (".parquet", ".xlsx", ".xlsm", ".mat"):
-        return ()
     with path.open("rb") as file:
         file.seek(-1, 2)
         last = file.read(1)

@@ -53,6 +53,7 @@ def search(problem: StudyProblem, title: str) -> Any:
     total, due = problem.config.tuning.n_trials, 0.0
 
     def show(study: Any) -> None:
+        """Bring the bar up to date."""
         nonlocal due
         if time.monotonic() < due:
             return

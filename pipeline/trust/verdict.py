@@ -196,24 +196,16 @@ def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
         return []
     name, square = rank(shifted)[0], sum(move**2 for move in moves.values())
     number = name.replace("_", " ")
-    if chi2.sf(square, len(moves)) < never:
-        return [
-            Reason(
-                Verdict.NO,
-                f"The data ask for numbers of rotor, weights and probes that are {np.sqrt(square / len(moves)):.2g} "
-                f"times as far from the stated ones as their tolerances allow, most of all {number} (by "
-                f"{shifted[name]:.1f} tolerances): the model lacks something.",
-                "Look for what differs between the runs or is not in the model: bearings that drift, a support, a "
-                f"coupling; measure {number} again.",
-            )
-        ]
-    return [
-        Reason(
-            Verdict.WITH_CARE,
-            f"The data ask for a {number} that is {shifted[name]:.1f} tolerances away from the stated one.",
-            f"Measure {number} again, or state a wider tolerance if it was a guess.",
-        )
-    ]
+    asked = f"The data ask for a {number} that is {shifted[name]:.1f} tolerances away from the stated one"
+    if chi2.sf(square, len(moves)) >= never:
+        cure = f"Measure {number} again, or state a wider tolerance if it was a guess."
+        return [Reason(Verdict.WITH_CARE, f"{asked}.", cure)]
+    together = (
+        f"{asked}, and for all numbers of rotor, weights and probes {np.sqrt(square / len(moves)):.2g} times as far "
+        "away as tolerances allow: the model lacks something."
+    )
+    cure = "Look for what differs between the runs or is not in the model: bearings that drift, a support, a coupling."
+    return [Reason(Verdict.NO, together, cure)]
 
 
 def judge_coefficient(
