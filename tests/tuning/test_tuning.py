@@ -267,7 +267,7 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
     assert fit is not None
     assert fit.held_out_loss < 1e-11
     for name in ("kxx", "kyy"):
-        np.testing.assert_allclose(fit.table(truth).coefficient(name), truth.coefficient(name), rtol=1e-9)
+        np.testing.assert_allclose(fit.identified.table(truth).coefficient(name), truth.coefficient(name), rtol=1e-9)
 
 
 def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic: Machine) -> None:
