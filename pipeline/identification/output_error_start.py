@@ -74,6 +74,9 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     make_basis = nodes_basis if setup.model.families else drawn_basis
     basis = make_basis(setup, training, measurement.dataset.points)
     problem, first = begin(training, setup, basis, plane_scale)
+    problem = problem.with_baseline(first["weights"][:1])
+    solved = vars(measurement).get("response")
+    measurement = replace(measurement, as_found=problem.measurement.as_found, solved=solved)
     left_out: dict[str, Measurement] = {}
     if not keep.all():
         left_out["held_out_speeds"] = measurement.select(~keep, runs)
@@ -194,7 +197,7 @@ def _start_by_population(
     choices = list_choices(training, setup.model.families, nodes)
     searched = search(problem, choices, setup.seed)
     first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
-    return replace(problem.correlated(searched.correlation), functions=searched.choices.functions()), first
+    return replace(searched.problem, functions=searched.choices.functions()), first
 
 
 # --- bearing laws ----------------------------------------------------------------------------------------

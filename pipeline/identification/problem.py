@@ -389,6 +389,16 @@ class OutputError(LeastSquares):
         """The same with noise that correlates like this from speed to speed."""
         return replace(self, readings=replace(self.readings, correlation=correlation))
 
+    def with_baseline(self, weights: torch.Tensor) -> OutputError:
+        """The same with the machine's unbalance as the weights (1, 1, Z) make it of the baseline that was taken off."""
+        made = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)[0]
+        measurement, values = self.measurement, self.model_parameters(weights)[0].numpy()
+        found = measurement.update(values).find_baseline(measurement.table(made[0].numpy())).as_found
+        if found == measurement.as_found:
+            return self
+        solved = vars(measurement).get("response")
+        return replace(self, sensors=sensor_model(replace(measurement, as_found=found, solved=solved)))
+
     def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
         """The problem as one of another ``kind``, with these ``changes``."""
         return kind(**{entry.name: getattr(self, entry.name) for entry in fields(OutputError)} | changes)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import BASELINE
 from pipeline.problem.response import (
     ResponseBlock,
     derive,
@@ -176,6 +177,7 @@ class SensorModel:
     """The response of a measurement's rotor, of first order in the model parameters about those it was solved at."""
 
     measurement: Measurement
+    whole: Measurement  # with the baseline as the last run, where bearings drift and it was taken off
     blocks: tuple[ResponseBlock, ...]  # of tensors
 
     @cached_property
@@ -208,14 +210,14 @@ class SensorModel:
         """The blocks' derivatives by the model parameters; none where there are none."""
         import torch
 
-        return tuple(block.converted(torch.as_tensor) for block in self.measurement.variations)
+        return tuple(block.converted(torch.as_tensor) for block in self.whole.variations)
 
     @cached_property
     def _drift(self) -> torch.Tensor:
         """(R, B, T) how model parameters scale each bearing in each run; empty where none does."""
         import torch
 
-        parameters, runs = self.measurement.parameters, self.measurement.dataset.runs
+        parameters, runs = self.measurement.parameters, self.whole.dataset.runs
         drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
         n_bearings = len(self.measurement.rotor.bearing_nodes)
         scales = torch.zeros(len(runs) if drifting else 0, n_bearings, len(parameters), dtype=torch.float64)
@@ -254,12 +256,17 @@ class SensorModel:
         """
         import torch
 
-        return [
-            torch.cat(
-                [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters)], -1
-            )
+        every = [
+            [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters)]
             for b in range(len(self.blocks))
         ]
+        return [self._join(b, torch.cat(parts, dim=3)) for b, parts in enumerate(every)]
+
+    def _join(self, b: int, shown: torch.Tensor) -> torch.Tensor:
+        """(G, S, P, R, ..) of block b, from the same of its runs and of the baseline that is taken off them."""
+        if self.whole.dataset.runs[self.blocks[b].runs[-1]] != BASELINE:
+            return shown
+        return shown[:, :, :, :-1] - shown[:, :, :, -1:]
 
     def derive(
         self, b: int, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor
@@ -271,7 +278,7 @@ class SensorModel:
 
         every = [self._derive(placed, unbalance) for placed in self._place(b, values, parameters)]
         readings, by_unknowns, by_planes, by_parameters = (
-            torch.cat(parts, dim=3) for parts in zip(*every, strict=True)
+            self._join(b, torch.cat(parts, dim=3)) for parts in zip(*every, strict=True)
         )
         return readings, by_unknowns, by_planes, by_parameters
 
@@ -299,4 +306,5 @@ def sensor_model(measurement: Measurement) -> SensorModel:
     """That of a measurement, at the values of its model parameters."""
     import torch
 
-    return SensorModel(measurement, tuple(block.converted(torch.as_tensor) for block in measurement.response.blocks))
+    whole = measurement.with_baseline()
+    return SensorModel(measurement, whole, tuple(block.converted(torch.as_tensor) for block in whole.response.blocks))

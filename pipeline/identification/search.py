@@ -171,7 +171,7 @@ class Searched:
     weights: torch.Tensor  # (G, 1, Z)
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
-    correlation: float  # of the noise from speed to speed
+    problem: OutputError  # without a prior of functions, at the noise as it is stated
 
     def mix(self, covariance: np.ndarray, beyond: float = 0.05, reach: float = 0.5) -> np.ndarray:
         """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by.
@@ -192,6 +192,7 @@ def search(
     kept: int = 6,
     most_exact: float = 10.0,
     small: float = 0.05,
+    coarse: float = 0.5,
 ) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
     stated one at least. Directions of the priors whose deviation is ``small`` are left out at first.
@@ -210,11 +211,21 @@ def search(
     lifted = torch.zeros(len(y), 1, whitened.size, dtype=y.dtype)
     lifted[..., torch.cat([main, kept_rest, parameters])] = y
     y = lifted
-    for _ in range(2):
+    simply = min(_noise(whitened, y), 1.0)
+    for turn in range(6):
         whitened, y, _ = _rank(whitened, y, kept)
-        share = min(share * _noise(whitened, y), most_exact)
+        problem = problem.with_baseline(whitened.weights(y)[:1])
+        left = _noise(replace(whitened, problem=problem), y)
+        settled = turn > 0 and abs(np.log(left / share)) < 0.1
+        share = min(left, most_exact)
         whitened = replace(whitened, problem=problem.scaled(share))
+        if settled and simply < coarse:
+            whitened, y = _take_up(whitened, choices, y)
+            simply = 1.0
+            continue
         y = whitened.minimise(y, 1e-4, steps=20)
+        if settled:
+            break
     whitened, y, evidence = _rank(whitened, y, kept)
     if not problem.readings.tied:
         best = replace(whitened.problem, functions=whitened.choices.functions())
@@ -223,8 +234,22 @@ def search(
             return search(problem.correlated(correlation), choices, seed, kept, most_exact, small)
     shares = (evidence - evidence[0]).exp()
     covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
-    normalised, correlation = np.asarray((shares / shares.sum()).numpy()), problem.readings.correlation
-    return Searched(whitened.choices, whitened.weights(y), covariance, normalised, correlation)
+    normalised = np.asarray((shares / shares.sum()).numpy())
+    return Searched(whitened.choices, whitened.weights(y), covariance, normalised, problem)
+
+
+def _take_up(whitened: Whitened, choices: Choices, y: torch.Tensor) -> tuple[Whitened, torch.Tensor]:
+    """Those that are left, and all ``choices``, each from where it is nearest to the best of them."""
+    import torch
+
+    n_weights, identity = whitened.problem.places.n_coefficients, torch.eye(choices.root.shape[-1], dtype=y.dtype)
+    best = whitened.weights(y)[:1]
+    off = best[:, 0, :n_weights, None] - choices.mean[..., None]
+    nearest = torch.linalg.solve(choices.root.mT @ choices.root + 0.01 * identity, choices.root.mT @ off)
+    starts = torch.cat([nearest.mT, best[..., n_weights:].expand(len(off), -1, -1)], dim=-1)
+    left = [choices.families.index(families) for families in whitened.choices.families]
+    every = replace(whitened, choices=choices.select([*left, *range(len(off))]))
+    return every, every.minimise(torch.cat([y, starts]), 1e-3, steps=12)
 
 
 def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:
@@ -270,6 +295,7 @@ def _descend(
     y[:n_choices] = 0.0
     y[..., starts.size - starts.problem.places.n_rest :] = 0.0
     for share, steps, most in stages:
+        share = min(share, _noise(starts, y) ** 2) if share == 1.0 else share
         tempered = replace(starts, problem=whitened.problem.scaled(share**0.5))
         tempered, y, _ = _rank(tempered, tempered.minimise(y, 1e-2, steps), most)
         starts = replace(starts, choices=tempered.choices)

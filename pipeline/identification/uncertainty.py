@@ -43,6 +43,7 @@ class Uncertainty:
     functions: tuple[np.ndarray, np.ndarray]  # rows (N, A K) and aims (N,) of a prior of functions; N = 0 for none
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
+    as_found: np.ndarray  # (D,) complex, kg m: that of the baseline which was taken off; D = 0 where bearings stay
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
@@ -177,6 +178,7 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
         (problem.functions.rows.numpy(), problem.functions.aims.numpy()),
         np.asarray(problem.unbalance(fit.weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
+        np.array(problem.measurement.as_found, dtype=complex),
         problem.plane_scale,
         problem.model_parameters(fit.weights)[0].numpy(),
         error.n_local,
@@ -203,6 +205,7 @@ def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
         "prior_aims": uncertainty.functions[1],
         "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
         "planes": uncertainty.planes,
+        "as_found": np.stack([uncertainty.as_found.real, uncertainty.as_found.imag]),
         "plane_scale": np.array([uncertainty.plane_scale]),
         "parameters": uncertainty.parameters,
         "n_local": np.array([uncertainty.n_local]),
@@ -231,6 +234,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             (parts["prior_rows"], parts["prior_aims"]),
             unbalance,
             parts["planes"],
+            parts["as_found"][0] + 1j * parts["as_found"][1],
             float(parts["plane_scale"][0]),
             parts["parameters"],
             int(parts["n_local"][0]),

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import CoefficientName
-from pipeline.data.dataset import VibrationDataset
+from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.condition_noise import NO_LEVELS, ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations
-from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
+from pipeline.problem.model_parameters import BASELINE, known_change, runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
@@ -59,6 +59,7 @@ class Measurement:
     tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
     drift: ConditionNoise = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
     laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
+    as_found: tuple[complex, ...] = ()  # kg m at each disc, what the baseline shows; none where no bearing drifts
     solved: InitVar[ResponseEquations | None] = None  # :attr:`response`, where it is at hand
     weighed: InitVar[np.ndarray | None] = None  # :attr:`deviation`, where it is not to follow from ``noise``
 
@@ -237,6 +238,61 @@ class Measurement:
     def synchronous(self) -> np.ndarray:
         """(R,) mask of the runs that turn with the rotor."""
         return turns_with_rotor(self.dataset)
+
+    def find_baseline(self, bearings: BearingTable) -> Measurement:
+        """The same with :attr:`as_found` as ``bearings``, at the same speeds, make it of the baseline.
+
+        By least squares over all speeds, each reading over its noise, beside what a probe shows at every speed
+        (runout). Where bearings drift, the baseline's response is not wholly taken off.
+        """
+        data, planes = self.dataset, tuple(dict.fromkeys(self.rotor.disc_nodes))
+        if data.subtracted is None or not planes or not self._drifts:
+            return self
+        turning = np.flatnonzero(self.synchronous())
+        run = turning[data.present[:, turning].sum(axis=0).argmax()]
+        alone = replace(self, unknowns=replace(self.unknowns, planes=planes), as_found=())
+        scale = np.ones((len(bearings.nodes), 1, 1))
+        for parameter, value in zip(self.parameters, self.parameter_values, strict=True):
+            if (parameter.kind, parameter.detail) == ("bearing_drift", BASELINE):
+                scale[parameter.place] += value * parameter.deviation
+        bearings = replace(bearings, values=bearings.values * scale)
+        units = alone.response.derive_by_unbalance(bearings)[:, :, run]  # (S, P, N)
+        shown = np.broadcast_to(np.eye(units.shape[1]), (len(units), *[units.shape[1]] * 2))
+        weight = 1 / self.deviation_of(self.baseline)[data.present[:, run], :, run, None]
+        columns = np.concatenate([units, shown], axis=-1)[data.present[:, run]] * weight
+        size = np.linalg.norm(columns, axis=(0, 1))
+        read = self.baseline[data.present[:, run], :, run, None] * weight
+        solved = np.linalg.lstsq((columns / size).reshape(-1, len(size)), read.ravel(), rcond=1e-6)[0] / size
+        return replace(self, as_found=tuple(solved[: len(planes)].tolist()), solved=vars(self).get("response"))
+
+    @property
+    def _drifts(self) -> bool:
+        return any(parameter.kind == "bearing_drift" for parameter in self.parameters)
+
+    def with_baseline(self) -> Measurement:
+        """The same with the unbalance :attr:`as_found` in the runs that turn, and the baseline as a last run, whose
+        response is to be taken off theirs; as it is where no bearing drifts. Readings of the baseline are zero.
+        """
+        data = self.dataset
+        if not self.as_found or data.subtracted is None or not self._drifts:
+            return self
+        runs = (*(run for run, turns in zip(data.runs, self.synchronous(), strict=True) if turns), BASELINE)
+        found = tuple(
+            Excitation(run, "unbalance", node, abs(unbalance), float(np.angle(unbalance)))
+            for run in runs
+            for node, unbalance in zip(dict.fromkeys(self.rotor.disc_nodes), self.as_found, strict=True)
+        )
+        whole = replace(
+            data,
+            runs=(*data.runs, BASELINE),
+            displacement=np.concatenate([data.displacement, np.zeros_like(data.displacement[..., :1])], axis=-1),
+            excitations=(*data.excitations, *found),
+            own_frequencies=np.concatenate([data.frequencies, data.speeds[:, None]], axis=1),
+            subtracted=None,
+            conditions=None,
+            present=np.concatenate([data.present, data.present.any(axis=1, keepdims=True)], axis=1),
+        )
+        return replace(self, dataset=whole, drift=NO_LEVELS, as_found=())
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

@@ -86,7 +86,9 @@ weight and its place are off by 2 % and 2 degrees (docs/noise.md), the scale of 
 
 ALWAYS_FITTED = USUAL | {"disc_mass": 0.02, "bearing_drift": 0.02}
 """As :data:`USUAL`, for models that fit their tolerances: discs are known to 2 %, and a bearing is in each run as it is
-on average to 2 % (oil temperature, alignment, amplitude)."""
+on average to 2 % (oil temperature, alignment, amplitude); so it is in the baseline."""
+BASELINE = ""
+"""The run of a bearing's drift in the baseline that was taken off the others."""
 
 
 def usual_tolerances(
@@ -165,7 +167,9 @@ def _list_places(
         **dict.fromkeys(OF_WEIGHT, weights),
         **dict.fromkeys(OF_PROBE, probes),
         "bearing_drift": [
-            (f"node {node} {run}", b, run) for b, node in enumerate(rotor.bearing_nodes) for run in dataset.runs
+            (f"node {node} {run or 'baseline'}", b, run)
+            for b, node in enumerate(rotor.bearing_nodes)
+            for run in (*dataset.runs, *([] if dataset.subtracted is None else [BASELINE]))
         ],
         "weight_angle": everywhere if weights else [],
         "weight_law": [(component, 0, component) for component in parts if weights],
