@@ -59,7 +59,7 @@ class Measurement:
     tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
     drift: ConditionNoise = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
     laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
-    as_found: tuple[complex, ...] = ()  # kg m at each disc, what the baseline shows; none where no bearing drifts
+    as_found: tuple[complex, ...] = ()  # kg m at each node, what the baseline shows; none where no bearing drifts
     solved: InitVar[ResponseEquations | None] = None  # :attr:`response`, where it is at hand
     weighed: InitVar[np.ndarray | None] = None  # :attr:`deviation`, where it is not to follow from ``noise``
 
@@ -239,31 +239,33 @@ class Measurement:
         """(R,) mask of the runs that turn with the rotor."""
         return turns_with_rotor(self.dataset)
 
-    def find_baseline(self, bearings: BearingTable) -> Measurement:
+    def find_baseline(self, bearings: BearingTable, least: float = 1e-2) -> Measurement:
         """The same with :attr:`as_found` as ``bearings``, at the same speeds, make it of the baseline.
 
         By least squares over all speeds, each reading over its noise, beside what a probe shows at every speed
-        (runout). Where bearings drift, the baseline's response is not wholly taken off.
+        (runout); distributions that show ``least`` of what the clearest does are left out. Where bearings drift, the
+        baseline's response is not wholly taken off.
         """
-        data, planes = self.dataset, tuple(dict.fromkeys(self.rotor.disc_nodes))
-        if data.subtracted is None or not planes or not self._drifts:
+        data, nodes = self.dataset, tuple(range(self.rotor.n_nodes))
+        if data.subtracted is None or not self._drifts:
             return self
         turning = np.flatnonzero(self.synchronous())
         run = turning[data.present[:, turning].sum(axis=0).argmax()]
-        alone = replace(self, unknowns=replace(self.unknowns, planes=planes), as_found=())
         scale = np.ones((len(bearings.nodes), 1, 1))
         for parameter, value in zip(self.parameters, self.parameter_values, strict=True):
             if (parameter.kind, parameter.detail) == ("bearing_drift", BASELINE):
                 scale[parameter.place] += value * parameter.deviation
-        bearings = replace(bearings, values=bearings.values * scale)
-        units = alone.response.derive_by_unbalance(bearings)[:, :, run]  # (S, P, N)
-        shown = np.broadcast_to(np.eye(units.shape[1]), (len(units), *[units.shape[1]] * 2))
-        weight = 1 / self.deviation_of(self.baseline)[data.present[:, run], :, run, None]
-        columns = np.concatenate([units, shown], axis=-1)[data.present[:, run]] * weight
-        size = np.linalg.norm(columns, axis=(0, 1))
-        read = self.baseline[data.present[:, run], :, run, None] * weight
-        solved = np.linalg.lstsq((columns / size).reshape(-1, len(size)), read.ravel(), rcond=1e-6)[0] / size
-        return replace(self, as_found=tuple(solved[: len(planes)].tolist()), solved=vars(self).get("response"))
+        alone = replace(self, unknowns=replace(self.unknowns, planes=nodes), as_found=())
+        by_unbalance = alone.response.derive_by_unbalance(replace(bearings, values=bearings.values * scale))[:, :, run]
+        by_runout = np.broadcast_to(np.eye(len(data.channels)), (len(data.speeds), *[len(data.channels)] * 2))
+        seen = data.present[:, run]
+        weight = 1 / self.deviation_of(self.baseline)[seen, :, run, None]
+        parts = [(by[seen] * weight).reshape(seen.sum() * len(data.channels), -1) for by in (by_unbalance, by_runout)]
+        sizes = [np.linalg.norm(part) / np.sqrt(part.shape[1]) for part in parts]
+        columns = np.concatenate([part / size for part, size in zip(parts, sizes, strict=True)], axis=1)
+        solved = np.linalg.lstsq(columns, (self.baseline[seen, :, run, None] * weight).ravel(), rcond=least)[0]
+        found = tuple((solved[: len(nodes)] / sizes[0]).tolist())
+        return replace(self, as_found=found, solved=vars(self).get("response"))
 
     @property
     def _drifts(self) -> bool:
@@ -280,7 +282,7 @@ class Measurement:
         found = tuple(
             Excitation(run, "unbalance", node, abs(unbalance), float(np.angle(unbalance)))
             for run in runs
-            for node, unbalance in zip(dict.fromkeys(self.rotor.disc_nodes), self.as_found, strict=True)
+            for node, unbalance in enumerate(self.as_found)
         )
         whole = replace(
             data,

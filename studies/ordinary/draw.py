@@ -57,7 +57,7 @@ class Drawn:
 
     stated: dict[str, Any]  # keys of a machine file, without data
     bearings: dict[str, Any]  # the real ones, by node
-    residual: tuple[dict[str, Any], ...]  # unbalance of the machine as found
+    residual: tuple[dict[str, Any], ...]  # unbalance of the machine as found, at any nodes
     floor: float  # m, root mean square of a reading's noise
     trouble: Mapping[str, Any] = field(default_factory=dict)
 
@@ -265,8 +265,9 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     for run in config.machine.runs:
         acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
         acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
-    residual = [(r["node"], float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
-                for r in drawn.residual]  # fmt: skip
+    places = np.random.default_rng([seed, 13]).integers(rotor.n_nodes, size=len(drawn.residual)).tolist()
+    residual = [(node, float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
+                for node, r in zip(places, drawn.residual, strict=True)]  # fmt: skip
     seen, stated = [], []
     for name, excitations in acting.items():
         factors = np.exp(trouble.get("drift", 0.0) * generator.standard_normal((len(felt.nodes), 1, 1)))
