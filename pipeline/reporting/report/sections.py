@@ -47,7 +47,7 @@ def list_sections(content: ReportContent) -> list[Section]:
         (
             "origin",
             "Where this comes from",
-            [Table("Versions, data and command", ["", "value"], origin)],
+            [Table("Versions, data and command", ["item", "value"], origin)],
         ),
     ]
     return [section for section in sections if section[-1]]
@@ -208,4 +208,4 @@ def describe_conventions(content: ReportContent) -> Table:
     said = content.files.get("ingest", {}).get("conventions")
     if said:
         rows.append(["Recordings", f"Read as {said}."])
-    return Table("How the numbers are meant", ["", "meaning"], rows)
+    return Table("How the numbers are meant", ["subject", "meaning"], rows)
