@@ -72,16 +72,10 @@ def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequen
             dashes=_DASHES,
             scale=MICROMETRES_PEAK_TO_PEAK,
             find_textual=_find_textual,
-            style=_read("page.css"),
-            script=_read("page.js"),
             plotly=get_plotlyjs().replace("</script", "<\\/script"),
             drawn=json.dumps(list(panels.values()), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         ),
     )
-
-
-def _read(name: str) -> str:
-    return (_FOLDER / name).read_text(encoding="utf-8")
 
 
 def _find_textual(table: Table) -> list[bool]:
