@@ -210,6 +210,7 @@ class Job:
 
         from pipeline.config.compose import list_stages, validate_stages
         from pipeline.stages import run_stages
+        from pipeline.stages.configure import write_configuration
 
         overrides = list(_get_job().overrides.task)
         if self.multirun:
@@ -220,7 +221,10 @@ class Job:
                 composed.tuning.study = self.folder(composed.tuning.study, overrides)
             print(f"{self._describe()} -> {composed.output}", flush=True)
         mapping: Any = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-        run_stages(validate_stages(mapping, overrides))
+        configs = validate_stages(mapping, overrides)
+        if self.multirun:  # its folder says what the job was, with MLflow or without
+            write_configuration(configs[0])
+        run_stages(configs)
 
     def _describe(self) -> str:
         return f"[{_get_job().job.num + 1}/{self.count}] {' '.join(_get_job().overrides.task)}"

@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
+from pipeline.coefficients import COEFFICIENTS
+
 ROOT = Path(__file__).resolve().parents[1]
 GRAPH = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))
 STAGES: dict[str, Any] = GRAPH["stages"]
@@ -168,6 +170,15 @@ def test_what_check_reads_is_made(experiment: str) -> None:
         for out in _outs(stage)
     }
     assert {rule.get("file", "metrics.json") for rule in rules} <= made
+
+
+def test_dvc_draws_loss_and_coefficients_as_curves() -> None:
+    """Their axes are columns of the tables that train writes, and the template has every coefficient."""
+    curves = {Path(path).name: axes for plot in STAGES["train"]["plots"] for path, axes in plot.items()}
+    axes = {name: (curve["x"], curve["y"]) for name, curve in curves.items()}
+    assert axes == {"history.csv": ("step", "loss"), "identified_coefficients.csv": ("speed_rpm", "kxx")}
+    template = ROOT / ".dvc" / "plots" / f"{curves['identified_coefficients.csv']['template']}.json"
+    assert json.loads(template.read_text(encoding="utf-8"))["transform"][0]["fold"] == list(COEFFICIENTS)
 
 
 def test_no_study_is_in_the_graph() -> None:

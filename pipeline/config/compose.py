@@ -20,6 +20,7 @@ from pipeline.config.loader import (
     get_text,
     list_options,
     list_values,
+    parse_key,
     parse_overrides,
     refuse_sweeps,
     start_hydra,
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 DEFAULTS = "default/"
 """The folder below ``conf/experiment`` that has the experiments of machines without one."""
+_NAMED_OTHERWISE = {"stage", "experiment", "name", "output", "tracking", "hydra"}
+"""Keys that the name of a run has no need of: they say which it is, or where it is kept."""
 
 
 def compose_config(overrides: Sequence[str] = (), folder: Path | None = None) -> Config:
@@ -58,8 +61,11 @@ def validate_stages(mapping: Mapping[str, Any], overrides: Sequence[str], folder
     """``mapping`` as a Config for each of its stages, with the values that its study promoted; ``overrides`` win."""
     complete = _insert_runs(mapping)
     configs = [validate(dict(complete) | {"stage": stage}) for stage in list_stages(mapping)]
+    changed = tuple(given for given in overrides if parse_key(given).partition(".")[0] not in _NAMED_OTHERWISE)
     return [
-        apply_promoted(config, overrides).model_copy(update={"chosen_by": name_choice(config, overrides, folder)})
+        apply_promoted(config, overrides).model_copy(
+            update={"chosen_by": name_choice(config, overrides, folder), "overrides": changed}
+        )
         for config in configs
     ]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
@@ -95,6 +95,17 @@ def _weigh(runs: Sequence[RunConfig]) -> CandidateConfig:
     return CandidateConfig(unbalance_nodes=nodes, unbalance=max(weight.magnitude for weight in weights), **_NO_FORCE)
 
 
+class TitleBlock(Section):
+    """Who the report of a machine is for and by whom: what is blank is left out of it."""
+
+    customer: str = ""
+    machine: str = ""
+    author: str = ""
+    company: str = ""
+    date: str = ""
+    paper: Literal["A4", "Letter"] = "A4"
+
+
 class MachineConfig(Section):
     """Rotor and bearings, how it is run and seen, what was recorded of it, and what can be done with it.
 
@@ -125,6 +136,7 @@ class MachineConfig(Section):
     candidates: CandidateConfig = Field(default=None, validate_default=True)
     balance: WeightsConfig | None = None
     laws: LawsConfig | None = None
+    report: TitleBlock = TitleBlock()
 
     _bearings = _follow("bearings", "rotor", _save_bearings, RotorFileBearingConfig(kind="rotor_file"))
     _speeds = _follow("speeds", "recordings", _record_speeds, SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1))

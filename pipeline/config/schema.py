@@ -127,6 +127,7 @@ class Config(Section):
     export: ExportConfig = Field(default=ExportConfig(units="si", formats=get_args(ExportFormat)), exclude=True)
     new: NewConfig = Field(default=NewConfig(bearings="fluid_film", data="simulated"), exclude=True)
     chosen_by: str = Field(default="", exclude=True)
+    overrides: tuple[str, ...] = Field(default=(), exclude=True)  # what the command line changed of the experiment
 
     @property
     def chosen(self) -> str:

@@ -73,6 +73,26 @@ class Curve:
         return x, np.where(logarithmic & (y > 0) & (y <= half), 1e-3 * y, y - half), y + half
 
 
+def reach(values: np.ndarray, share: float = 0.02) -> tuple[float, float]:
+    """The least and the largest of the finite ``values``, but where few lie far off no farther than quantiles allow.
+
+    Beyond a ``share`` of them at either end it is no farther than the others are wide.
+    """
+    finite = values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
+    low, high = np.quantile(finite, [share, 1 - share])
+    return max(float(finite.min()), 2 * low - high), min(float(finite.max()), 2 * high - low)
+
+
+def mark_beyond(curves: Sequence[Curve], low: float, high: float) -> list[Curve]:
+    """A cross at the end of the axis, from ``low`` to ``high``, for each point of the curves that lies beyond it."""
+    beyond = [(curve, (curve.y < low) | (curve.y > high)) for curve in curves]
+    return [
+        Curve(curve.x[off], np.clip(curve.y[off], low, high), "beyond the axis", curve.colour, "none", "x")
+        for curve, off in beyond
+        if off.any()
+    ]
+
+
 def mark(x: np.ndarray, y: np.ndarray, label: str, colour: str, marker: str = "o", count: int = 30) -> Curve:
     """About ``count`` open markers of a curve, as many as can be told apart."""
     every = slice(None, None, max(1, len(x) // count))

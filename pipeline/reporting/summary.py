@@ -42,7 +42,7 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
         *_wrap(f"{config.name}: {config.description}", "", 1),
         "",
         *_wrap_entry("machine", _describe_machine(content)),
-        *_wrap_entry("data", _describe_data(content, fit)),
+        *_wrap_entry("data", describe_data(content, fit)),
         "",
         *_list_coefficients(config, fit),
         "",
@@ -50,8 +50,8 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
         *_wrap_entry("verdict", f"{whole}; {describe_verdicts(fit.training)}"),
         *_wrap_entry("fit", _describe_fit(fit.training)),
         *_wrap_entry("", _describe_run(content)),
-        *_wrap_entry("critical", rejected + _list_critical_speeds(fit, modes["critical_speeds"])),
-        *_wrap_entry("stability", rejected + _describe_stability(modes["stability"])),
+        *_wrap_entry("critical", rejected + list_critical_speeds(fit, modes["critical_speeds"])),
+        *_wrap_entry("stability", rejected + describe_stability(modes["stability"])),
         *_wrap_entry("prediction", rejected + _describe_prediction(config, fit)),
         *(line for text in fit.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
         f"{'picture':<{len(_INDENT)}}{picture}",
@@ -78,7 +78,8 @@ def _describe_machine(content: ReportContent) -> str:
     )
 
 
-def _describe_data(content: ReportContent, fit: FitContent) -> str:
+def describe_data(content: ReportContent, fit: FitContent) -> str:
+    """Say what was read: runs, speeds, states and channels."""
     data, baseline = content.dataset, content.config.data.baseline
     rpm, nodes = _list_speeds(fit), dict.fromkeys(node for node, _ in data.channels)
     states = [label for label, _ in split_states(data.speeds, data.operating)]
@@ -161,7 +162,8 @@ def _describe_run(content: ReportContent) -> str:
     return f"{what} to {write_percent(share)} (root mean square, {count(measured.shape[1], 'channel')})"
 
 
-def _list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
+def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
+    """Name the critical speeds with their decrements, and between which speeds they were sought."""
     rpm = _list_speeds(fit)
     listed = [
         f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
@@ -170,7 +172,8 @@ def _list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
     return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{_name_state(fit)}"
 
 
-def _describe_stability(stability: Mapping[str, Any]) -> str:
+def describe_stability(stability: Mapping[str, Any]) -> str:
+    """Say whether the identified machine is stable, and the smallest decrement."""
     growth = show(stability, "largest_growth")
     verdict = {
         Stability.STABLE: "stable at all speeds",

@@ -43,12 +43,12 @@ def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
     data = content.dataset
     label, points = find_nearest(data.speeds, data.operating, fit.twin.operating)
     beside = f", {label}" if data.operating else ""
-    panels = [_draw_coefficients(fit.coefficients.at(points), letter, beside) for letter in "kc"]
+    panels = [draw_kind(fit.coefficients.at(points), letter, beside) for letter in "kc"]
     panels += [_draw_run(content, fit, points, beside), _draw_response(fit)]
     return write_figure(path, Figure("summary", content.config.name, panels))
 
 
-def _draw_coefficients(shown: Coefficients, letter: str, beside: str) -> Panel:
+def draw_kind(shown: Coefficients, letter: str, beside: str) -> Panel:
     """A colour a coefficient, a marker a bearing; what is known is dashed."""
     some, nodes = shown.choose(letter), shown.identified.nodes
     names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pipeline.config.schema import Config
 from pipeline.files import hash_file, write_text
 from pipeline.reporting.console import say
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, locate_files
 from pipeline.stages.execution import StageOutput
 
 _HOW: Any = {
@@ -18,15 +19,19 @@ _HOW: Any = {
 
 
 def run(analysis: Analysis) -> StageOutput:
-    """``config.yaml``, in SI units, without the keys that say how rather than what.
+    """``config.yaml`` in the experiment's folder."""
+    path = write_configuration(analysis.config)
+    say(f"{analysis.config.name}: configuration in '{path}'")
+    return StageOutput(files=[path])
+
+
+def write_configuration(config: Config) -> Path:
+    """Write ``config.yaml``, in SI units, without the keys that say how rather than what.
 
     Values that a study promoted are in their places, and ``rotor_file`` is the identity of the rotor file's bytes.
     """
-    config = analysis.config
     import yaml
 
     mapping = config.model_dump(mode="json", exclude=_HOW)
     mapping["rotor_file"] = hash_file(Path(config.machine.rotor.file)) if config.machine.rotor.file else ""
-    path = write_text(analysis.files.config, yaml.safe_dump(mapping, sort_keys=False))
-    say(f"{config.name}: configuration in '{path}'")
-    return StageOutput(files=[path])
+    return write_text(locate_files(config).config, yaml.safe_dump(mapping, sort_keys=False))

@@ -57,6 +57,8 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
     stage_record = StageRecord(
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
+        title=" ".join((config.stage, config.name, *config.overrides)),
+        data=None if config.stage == "compare" else analysis.files.vibration,  # which makes data of its own
         started=started,
         ended=time.time(),
         parameters=parameters,

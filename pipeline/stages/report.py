@@ -30,10 +30,10 @@ def run(analysis: Analysis) -> StageOutput:
     sections = list_sections(content)
     title = f"Bearing identification: {config.name.replace('_', ' ')}"
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
-    head = [config.description, f"Made {made}."]
+    head = config.machine.report.model_dump(exclude={"paper"}) | {"subject": config.description, "made": made}
     written = [
         write_page(work.folder / "report.html", title, head, sections),
-        write_pdf(work.folder / "report.pdf", title, head, sections),
+        write_pdf(work.folder / "report.pdf", title, head, sections, config.machine.report.paper),
     ]
     say(f"{config.name}: report in '{written[0]}' and '{written[1]}'")
     return StageOutput(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)

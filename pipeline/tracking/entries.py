@@ -30,7 +30,9 @@ class StageRecord:
     """One stage's work, complete and saved; or a piece of it that is a run of its own, such as a trial of a study.
 
     :param experiment: the name of the MLflow experiment, such as ``hydrostatic_stiffness``
-    :param stage: the run's name, such as ``train``
+    :param stage: such as ``train``
+    :param title: the run's name, such as ``train ball_bearing model.width=8``; without one the ``stage``
+    :param data: where the vibration lies that the tag ``data_fingerprint`` is of; none where no file has it
     :param started: start and
     :param ended: end of the stage as ``time.time()`` gives them (s)
     :param parameters: the composed configuration, nested; logged flat, and whole as ``config.yaml``
@@ -52,6 +54,8 @@ class StageRecord:
     tags: Mapping[str, str]
     metrics: Mapping[str, float]
     _: KW_ONLY
+    title: str = ""
+    data: Path | None = None
     history: Sequence[Mapping[str, float | str]] = ()
     files: Sequence[Path] = ()
     model: Path | None = None

@@ -307,7 +307,12 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
     recorded = config.machine.recordings.format != "none"
     assert config.model.kind == ("constant" if rolling else "bearings_network" if recorded else "network")
     assert config.identify.unknowns == UNKNOWNS["rolling" if rolling else "fluid_film"]
-    assert Config.model_validate(config.model_dump()).model_copy(update={"chosen_by": config.chosen_by}) == config
+    assert (
+        Config.model_validate(config.model_dump()).model_copy(
+            update={"chosen_by": config.chosen_by, "overrides": config.overrides}
+        )
+        == config
+    )
 
 
 def test_jobs_of_a_multirun_over_machines() -> None:

@@ -50,7 +50,7 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
     answers = []
     for seed in range(3):
         here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
-        assert {path.name for path in here.iterdir()} == DATA | ANSWER
+        assert {path.name for path in here.iterdir()} == DATA | ANSWER | {"config.yaml"}
         told = [json.loads((folder / "training.json").read_text()) for folder in (here, there)]
         assert (told[0]["seed"], told[0]["steps"]) == (seed, told[1]["steps"])
         np.testing.assert_allclose(told[0]["held_out_loss"], told[1]["held_out_loss"], rtol=1e-6)
@@ -98,5 +98,6 @@ def test_a_multirun_ends_with_its_jobs_side_by_side(tmp_path: Path) -> None:
         assert (row["outcome"], row["steps"]) == (training["outcome"], training["steps"])
         errors = [of["mean_error_percent"] for node in metrics["coefficients"].values() for of in node.values()]
         assert row["worst_mean_error_percent"] == pytest.approx(max(errors))
+        assert f"width: {str(job)[-1]}\n" in (folder / "config.yaml").read_text()
         assert row["held_out_loss"] == pytest.approx(training["held_out_loss"])
     assert (tmp_path / "out" / "jobs.png").stat().st_size > 1000

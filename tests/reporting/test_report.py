@@ -14,7 +14,20 @@ from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.tacho import fit_angle
-from pipeline.reporting.blocks import Amplitude, Axes, Curve, Figure, HeatMap, Mark, Panel, Section, Table, typeset
+from pipeline.reporting.blocks import (
+    Amplitude,
+    Axes,
+    Curve,
+    Figure,
+    HeatMap,
+    Mark,
+    Panel,
+    Section,
+    Table,
+    mark_beyond,
+    reach,
+    typeset,
+)
 from pipeline.reporting.measured_figures import find_lag
 from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.twin import find_peak
@@ -22,6 +35,7 @@ from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)
 SIZE = 1e-6 * RPM / 500
+HEAD = {"customer": "C & D", "author": ""}
 
 
 def _sections() -> list[Section]:
@@ -51,7 +65,7 @@ def _sections() -> list[Section]:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of one section."""
-    return write_page(tmp_path_factory.mktemp("page") / "report.html", "A & B", ["head"], _sections())
+    return write_page(tmp_path_factory.mktemp("page") / "report.html", "A & B", HEAD, _sections())
 
 
 class _Links(HTMLParser):
@@ -94,6 +108,8 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     panels = json.loads(found[1])
     assert [panel["id"] for panel in panels] == re.findall(r'<div class="panel[^"]*" id="(\w+)"', text)
     assert len(panels) == 4
+    assert "<dt>Customer</dt><dd>C &amp; D</dd>" in text
+    assert "Author" not in text
     assert "Words &lt; here." in text
     assert "First &lt;/script&gt; section" in text
     assert 'data-value="6.0"' in text  # 3 um zero-to-peak
@@ -102,12 +118,26 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     assert panels[2]["traces"][-1]["x"][0] == pytest.approx(1.0)  # the place on an orbit is not doubled
 
 
-def test_a_pdf_has_the_same_sections(tmp_path: Path) -> None:
-    path = write_pdf(tmp_path / "report.pdf", "A & B", ["head"], _sections())
+@pytest.mark.parametrize(("paper", "size"), [("A4", b"595.28 841.89"), ("Letter", b"612.00 792.00")])
+def test_a_pdf_has_the_same_sections(paper: str, size: bytes, tmp_path: Path) -> None:
+    path = write_pdf(tmp_path / "report.pdf", "A & B", HEAD, _sections(), paper)
     content = path.read_bytes()
+    assert b"/MediaBox [0 0 " + size in content
     assert content.startswith(b"%PDF")
     assert b"/Outlines" in content
     assert content.count(b"/Subtype /Image") == 2  # two rows of panels
+
+
+def test_few_outliers_do_not_rule_an_axis() -> None:
+    """It ends where the others are, with a cross for what lies beyond; without outliers it holds every point."""
+    usual = np.linspace(0.1, 0.5, 99)
+    assert reach(usual) == (0.1, 0.5)
+    values = np.r_[usual, -15.0]
+    low, high = reach(np.r_[values, np.nan])
+    assert -0.5 < low < 0.1
+    assert high == 0.5
+    (cross,) = mark_beyond([Curve(np.arange(100.0), values), Curve(RPM, SIZE)], low, high)
+    assert (cross.x.tolist(), cross.y.tolist(), cross.marker) == ([99.0], [low], "x")
 
 
 def test_a_lag_is_the_opposite_of_the_angle() -> None:

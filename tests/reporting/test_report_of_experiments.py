@@ -62,6 +62,7 @@ def test_a_report_can_be_sent_on(name: str) -> None:
 def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
     text = (ARTIFACTS / name / "report.html").read_text(encoding="utf-8")
     figures = [
+        "answer",
         "sketch",
         "bode",
         "polar",
@@ -80,6 +81,9 @@ def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
     assert fingerprint in text
     assert "±" in text
     assert "verification" in text
+    asked = ["What was asked?", "What is the answer?", "What may be relied on?", "What is to be done next?"]
+    first = text[text.index('<section id="answer">') :]
+    assert re.findall(r"<td[^>]*>(What [^<]*\?)</td>", first[: first.index("</section>")]) == asked
 
 
 def test_the_printed_coefficients_are_those_of_the_file() -> None:

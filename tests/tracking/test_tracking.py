@@ -117,7 +117,9 @@ def test_everything_in_a_record_is_read_back(
     problems = track(
         record(
             parameters={"model": {"hidden": [8, 8], "activation": "tanh"}, "data": {"file": None}, "seed": 3},
-            tags={"data.fingerprint": "abc", "pipeline.group": "g1"},
+            title="train rig seed=3",
+            data=tmp_path / "vibration.parquet",
+            tags={"data_fingerprint": "abc", "pipeline.group": "g1"},
             metrics={"coefficients/kxx/mean_error_percent": 1.5},
             history=history,
             files=[table, figure],
@@ -130,7 +132,9 @@ def test_everything_in_a_record_is_read_back(
     logged = Logged(settings)
     run = logged.run
     assert logged.client.get_experiment(run.info.experiment_id).name == "rotor rig"
-    assert (run.info.run_name, run.info.status) == ("train", "FINISHED")
+    assert (run.info.run_name, run.info.status) == ("train rig seed=3", "FINISHED")
+    ((kept, source),) = ((read.dataset, json.loads(read.dataset.source)) for read in run.inputs.dataset_inputs)
+    assert (kept.name, kept.digest, source["uri"]) == ("rotor rig", "abc", str(tmp_path / "vibration.parquet"))
     assert (run.info.start_time, run.info.end_time) == (1000 * STARTED, 1000 * ENDED)
     assert run.data.params == {
         "model.hidden": "[8, 8]",
@@ -138,7 +142,7 @@ def test_everything_in_a_record_is_read_back(
         "data.file": "null",
         "seed": "3",
     }
-    expected_tags = {"data.fingerprint": "abc", "pipeline.experiment": "rotor rig", "pipeline.stage": "train"}
+    expected_tags = {"data_fingerprint": "abc", "pipeline.experiment": "rotor rig", "pipeline.stage": "train"}
     assert run.data.tags.items() >= expected_tags.items()
     assert run.data.tags["version.torch"].startswith("2.")
     assert run.data.tags["version.python"].startswith("3.")

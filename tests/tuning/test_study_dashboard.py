@@ -134,7 +134,7 @@ def client(studied: Studied) -> Iterator[Any]:
 def test_mlflow_has_the_trials_below_the_study(client: Any, studied: Studied) -> None:
     """One run ``tune``, and for every trial a run below it: parameters, final metrics, learning curve, times."""
     experiment = client.get_experiment_by_name("ball_bearing").experiment_id
-    (parent,) = client.search_runs([experiment], "attributes.run_name = 'tune'")
+    (parent,) = client.search_runs([experiment], "attributes.run_name LIKE 'tune ball_bearing %'")
     children = client.search_runs([experiment], f"tags.`mlflow.parentRunId` = '{parent.info.run_id}'")
     assert len(client.search_runs([experiment])) == len(children) + 2, "besides them tune and generate"
     by_name = {run.info.run_name: run for run in children}
@@ -158,7 +158,7 @@ def test_mlflow_has_the_trials_below_the_study(client: Any, studied: Studied) ->
 def test_mlflow_has_the_report_of_the_study(client: Any, studied: Studied) -> None:
     """The run ``tune``: what was promoted and counted, the configuration, figures, tables and the report."""
     experiment = client.get_experiment_by_name("ball_bearing").experiment_id
-    (parent,) = client.search_runs([experiment], "attributes.run_name = 'tune'")
+    (parent,) = client.search_runs([experiment], "attributes.run_name LIKE 'tune ball_bearing %'")
     assert parent.info.status == "FINISHED"
     assert parent.data.tags["study"] == "ball_bearing"
     assert parent.data.params["tuning.sampler"] == "tpe"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +52,8 @@ _WIDTH = 186.0
 """mm of a page between its margins."""
 
 
-def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[Section]) -> Path:
-    """Write the page: ``head`` are lines below the ``title``. Raises StorageError."""
+def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequence[Section]) -> Path:
+    """Write the page: ``head`` is the block below the ``title``, without its blank entries. Raises StorageError."""
     from jinja2 import Environment, FileSystemLoader
     from plotly.offline import get_plotlyjs
 
@@ -72,16 +72,10 @@ def write_page(path: Path, title: str, head: Sequence[str], sections: Sequence[S
             dashes=_DASHES,
             scale=MICROMETRES_PEAK_TO_PEAK,
             find_textual=_find_textual,
-            style=_read("page.css"),
-            script=_read("page.js"),
             plotly=get_plotlyjs().replace("</script", "<\\/script"),
             drawn=json.dumps(list(panels.values()), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         ),
     )
-
-
-def _read(name: str) -> str:
-    return (_FOLDER / name).read_text(encoding="utf-8")
 
 
 def _find_textual(table: Table) -> list[bool]:
@@ -227,16 +221,16 @@ def _fade(colour: str, alpha: float) -> str:
     return f"rgba({red},{green},{blue},{alpha})"
 
 
-def write_pdf(path: Path, title: str, head: Sequence[str], sections: Sequence[Section]) -> Path:
-    """Write the PDF on A4 pages. Raises StorageError."""
+def write_pdf(path: Path, title: str, head: Mapping[str, str], sections: Sequence[Section], paper: str = "A4") -> Path:
+    """Write the PDF on pages of ``paper``. Raises StorageError."""
     import logging
 
     import matplotlib
     from fpdf import FPDF
 
     logging.getLogger("fontTools").setLevel(logging.ERROR)  # it tells of each table of a font
-    pdf = FPDF(format="A4")
-    pdf.set_margins(12, 12)
+    pdf = FPDF(format=paper)
+    pdf.set_margins((pdf.w - _WIDTH) / 2, 12)
     pdf.set_auto_page_break(True, 14)
     fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
     for style, name in (("", "DejaVuSans.ttf"), ("B", "DejaVuSans-Bold.ttf")):
@@ -244,8 +238,9 @@ def write_pdf(path: Path, title: str, head: Sequence[str], sections: Sequence[Se
     pdf.set_title(title)
     pdf.add_page()
     _write_text(pdf, title, 15, 8, bold=True)
-    for line in [*head, "Amplitudes are in µm pk-pk, phases are lags."]:
-        _write_text(pdf, line, 9, 5)
+    for name, text in ({**head, "units": "amplitudes are in µm pk-pk, phases are lags"}).items():
+        if text:
+            _write_text(pdf, f"{name.capitalize()}: {text}", 9, 5)
     for number, (_, name, blocks) in enumerate(sections, start=1):
         pdf.ln(3)
         if pdf.will_page_break(30):

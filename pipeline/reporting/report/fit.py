@@ -15,7 +15,21 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.operating import name_state, split_states
-from pipeline.reporting.blocks import GREEN, LOOKS, NOTHING, RPM, Axes, Block, Curve, Figure, Panel, Table, mark
+from pipeline.reporting.blocks import (
+    GREEN,
+    LOOKS,
+    NOTHING,
+    RPM,
+    Axes,
+    Block,
+    Curve,
+    Figure,
+    Panel,
+    Table,
+    mark,
+    mark_beyond,
+    reach,
+)
 from pipeline.reporting.coefficient_figures import (
     KINDS,
     UNITS,
@@ -240,7 +254,10 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
             above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
             below.append(Curve(rpm, size[points], "", **look))
         unit = "residual / noise" if stated else "residual (%)"
-        panels.append(Panel(probe.name, RPM, [Axes(above, AMPLITUDE, quantity="amplitude"), Axes(below, unit)]))
+        most = reach(np.concatenate([curve.y for curve in below]))[1]
+        below += mark_beyond(below, 0.0, most)
+        rest = Axes(below, unit, y_range=(0.0, 1.08 * most))
+        panels.append(Panel(probe.name, RPM, [Axes(above, AMPLITUDE, quantity="amplitude"), rest]))
     share = "over the root mean square of its noise" if stated else "in percent of the root mean square reading"
     caption = f"Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual {share}."
     return Figure(name, caption, panels)

@@ -59,6 +59,11 @@
     document.body.dataset.drawn = panels.length;
   }
 
+  // On paper a page is narrower than on a screen: A4 and Letter have room for this.
+  const turn = (on) => () => { document.body.classList.toggle("paper", on); panels.forEach(draw); };
+  addEventListener("beforeprint", turn(true));
+  addEventListener("afterprint", turn(false));
+  addEventListener("resize", show);
   amplitude.addEventListener("change", show);
   phase.addEventListener("change", show);
   show();

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.coefficients import COEFFICIENTS
 from pipeline.evaluation.errors import find_contradiction, list_contradicted
 from pipeline.ingest.conventions import GRAM_MILLIMETRE
 from pipeline.problem.determination import read_determined
-from pipeline.reporting.blocks import Block, Cell, Mark, Section, Table
-from pipeline.reporting.content import FitContent, ReportContent
+from pipeline.reporting.blocks import Block, Cell, Figure, Mark, Section, Table
+from pipeline.reporting.coefficient_figures import UNITS
+from pipeline.reporting.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.diagnosis import list_determined
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
+from pipeline.reporting.summary import describe_data, describe_stability, list_critical_speeds
+from pipeline.reporting.summary_figure import draw_kind
+from pipeline.reporting.twin import summarize_modes
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
 
@@ -25,6 +31,7 @@ def list_sections(content: ReportContent) -> list[Section]:
     """Those that there is something to say in."""
     fit, origin = content.fit, list(content.origin.items())
     sections: list[Section] = [
+        ("answer", "In short", describe_answer(content, fit) if fit else ()),
         ("verdicts", "Can this be trusted?", describe_verdicts(content)),
         ("numbers", "Numbers of the bearing laws", describe_numbers(content, fit) if fit else ()),
         ("coefficients", "Stiffness and damping", describe_coefficients(content, fit) if fit else ()),
@@ -40,10 +47,41 @@ def list_sections(content: ReportContent) -> list[Section]:
         (
             "origin",
             "Where this comes from",
-            [Table("Versions, data and command", ["", "value"], origin)],
+            [Table("Versions, data and command", ["item", "value"], origin)],
         ),
     ]
     return [section for section in sections if section[-1]]
+
+
+def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
+    """What was asked, the answer, what may be relied on and what to do next; and both kinds of coefficients, drawn."""
+    config, shown, at, values = content.config, fit.at_conditions, fit.twin.at, []
+    machine = content.files["verdicts"]["machine"]
+    modes: Mapping[str, Any] = summarize_modes(fit.behaviour, shown.rpm[at])
+    for node, names, numbers, deviations in zip(
+        shown.identified.nodes, shown.unknowns, shown.identified.values[:, at], shown.deviation[:, at], strict=True
+    ):
+        for name in names:
+            (scale, unit), c = UNITS[name[0]], COEFFICIENTS.index(name)
+            number = write_number(scale * float(numbers[c]), scale * float(deviations[c]))
+            values.append(f"{f'at node {node} ' * (name == names[0])}{name} {number} {unit}")
+    known = ", with one standard deviation" if shown.stated else ""
+    answer = (
+        f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}. Critical speeds: "
+        f"{list_critical_speeds(fit, modes['critical_speeds'])}. Stability: {describe_stability(modes['stability'])}."
+    )
+    felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
+    said = f"The machine as a whole: {machine['verdict']}. {machine['reason']}{felt}"
+    steps = dict.fromkeys(entry["next"] for entry in (machine, *content.files["verdicts"]["verdicts"]) if entry["next"])
+    rows: list[list[Cell]] = [
+        ["What was asked?", f"{config.description}. Data: {describe_data(content, fit)}."],
+        ["What is the answer?", answer],
+        ["What may be relied on?", said if machine["verdict"] == "good" else Mark("warning", said)],
+        ["What is to be done next?", " ".join(steps) or "These data ask for nothing more."],
+    ]
+    caption = "Identified coefficients over the speed; the sections below have each with its band and its reasons."
+    figure = Figure("answer", caption, [replace(draw_kind(shown, letter, fit.state), legend=False) for letter in "kc"])
+    return [*list_reservations(content), Table("", ["question", "answer"], rows), figure]
 
 
 def describe_verdicts(content: ReportContent) -> list[Block]:
@@ -51,15 +89,7 @@ def describe_verdicts(content: ReportContent) -> list[Block]:
     judged = content.files.get("verdicts")
     if not judged:
         return ["No verdicts were written: stage=verdict makes them."]
-    machine = judged["machine"]
-    why = " ".join(filter(None, (machine["reason"], machine["next"])))
-    felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
-    said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
-    return [
-        Mark("warning" if machine["verdict"] != "good" else "", said),
-        _list_verdicts("Bearings", judged["bearings"]),
-        _list_verdicts("Coefficients", judged["verdicts"]),
-    ]
+    return [_list_verdicts("Bearings", judged["bearings"]), _list_verdicts("Coefficients", judged["verdicts"])]
 
 
 def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:
@@ -178,4 +208,4 @@ def describe_conventions(content: ReportContent) -> Table:
     said = content.files.get("ingest", {}).get("conventions")
     if said:
         rows.append(["Recordings", f"Read as {said}."])
-    return Table("How the numbers are meant", ["", "meaning"], rows)
+    return Table("How the numbers are meant", ["subject", "meaning"], rows)

@@ -31,6 +31,8 @@ from pipeline.reporting.blocks import (
     Panel,
     Table,
     mark,
+    mark_beyond,
+    reach,
 )
 from pipeline.reporting.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.measured_figures import AMPLITUDE
@@ -124,7 +126,8 @@ def _draw_stability(behaviour: Behaviour, highest: float = 1.5, points: int = 60
         drawn = mark(rpm, within[:, k], f"mode {i + 1}", *LOOKS[i % 8], count=points)
         curves.append(replace(drawn, band=NOMINAL_95 * deviation[every, k]))
     curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
-    limits = (min(-0.1, 1.1 * float(np.nanmin(within, initial=0.0))), highest)
+    limits = (min(-0.1, 1.1 * reach(within)[0]), highest)
+    curves += mark_beyond(curves, limits[0], np.inf)
     return Figure(
         "stability",
         "Logarithmic decrement of the modes up to twice the top speed, followed by their shapes, where it is below "
