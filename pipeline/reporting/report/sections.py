@@ -33,7 +33,7 @@ def list_sections(content: ReportContent) -> list[Section]:
         ("diagnosis", "Diagnosis", describe_diagnosis(content)),
         ("fit", "Fit and residuals", describe_fit(content, fit) if fit else ()),
         ("held-out", "Held-out runs and speeds", describe_held_out(content, fit) if fit else ()),
-        ("modes", "Critical speeds and stability", describe_modes(content, fit) if fit else ()),
+        ("modes", "Critical speeds and stability", describe_modes(content, fit, fit.twin) if fit and fit.twin else ()),
         ("response", "Unbalance response", describe_response(content, fit) if fit else ()),
         ("balancing", "Residual unbalance and correction weights", [describe_balancing(content, fit)] if fit else ()),
         ("conventions", "Conventions", [describe_conventions(content)]),
@@ -48,15 +48,16 @@ def list_sections(content: ReportContent) -> list[Section]:
 
 def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
-    judged = content.files.get("verdicts")
+    judged, machine = content.files.get("verdicts"), content.machine_verdict
+    gaps = [Mark("warning", f"This report has no {part}: {reason}") for part, reason in content.missing.items()]
     if not judged:
-        return ["No verdicts were written: stage=verdict makes them."]
-    machine = judged["machine"]
+        return [*gaps, "No verdicts were written: stage=verdict makes them."]
     why = " ".join(filter(None, (machine["reason"], machine["next"])))
     felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
     said = f"The machine as a whole: {machine['verdict']}. {why}{felt}"
     return [
         Mark("warning" if machine["verdict"] != "good" else "", said),
+        *gaps,
         _list_verdicts("Bearings", judged["bearings"]),
         _list_verdicts("Coefficients", judged["verdicts"]),
     ]
