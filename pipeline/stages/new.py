@@ -45,8 +45,8 @@ def fill_template(path: Path, bearings: str, data: str) -> str:
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
     """
     sections = {
-        "simulated": {"simulated", "planned"},
-        "processed": {"processed", "planned", "measured"},
+        "simulated": {"simulated"},
+        "processed": {"processed", "measured"},
         "recordings": {"recordings", "recorded", "measured"},
         "tables": {"tables", "recorded", "measured"},
     }
