@@ -118,11 +118,11 @@ def _follow_data(machine: Any, data: Any) -> Any:
         what |= {"whirl": acting.whirl} if acting.kind == "force" else {}
         if acting.magnitude:
             runs.setdefault(acting.run, {"name": acting.run}).setdefault(f"{acting.kind}s", []).append(what)
-    found = {
+    read = {
         "speeds": {"start_rpm": float(rpm[0]), "stop_rpm": float(rpm[-1]), "step_rpm": step},
         "runs": list(runs.values()),
     }
-    return dict(machine) | {key: found[key] for key in asked}
+    return dict(machine) | {key: read[key] for key in asked}
 
 
 def compose_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:

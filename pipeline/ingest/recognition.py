@@ -74,7 +74,7 @@ def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "r
     for key, meanings in _MEANINGS.items():
         told = {"speed": [speed], "phase": phases.values(), "phase_unit": phases.values()}.get(key, probes.values())
         text = " ".join(units[name] for name in told)
-        guesses[key] = next((value for words, value in meanings.items() if _has(words, text)), "???")
+        guesses[key] = next((value for names, value in meanings.items() if _has(names, text)), "???")
     seen = {
         probe: f"columns: {{amplitude: {_write(name)}, phase: {_write(phases[probe])}}}"
         for probe, name in probes.items()
@@ -91,15 +91,15 @@ def _list_columns(path: Path) -> dict[str, str]:
         return {name.removesuffix(".npy"): "" for name in file.namelist()}
 
 
-def _has(words: str, text: str) -> bool:
-    """Whether one of the ``words`` is in the ``text``; those of units do not part at a slash."""
+def _has(names: str, text: str) -> bool:
+    """Whether one of the ``names`` is in the ``text``; those of units do not part at a slash."""
     letters = str.maketrans({"µ": "u", "μ": "u", "°": "deg", **dict.fromkeys("[](),;:_", " ")})
-    return any(re.fullmatch(words, word) for word in text.translate(letters).lower().split())
+    return any(re.fullmatch(names, word) for word in text.translate(letters).lower().split())
 
 
 def _name_probe(column: str) -> str:
     """The column's name without what its numbers are."""
-    kept = [part for part in re.split(r"[\s_\[\](),;:]+", column) if part and not _has(_ROLES, part)]
+    kept = [name for name in re.split(r"[\s_\[\](),;:]+", column) if name and not _has(_ROLES, name)]
     return "_".join(kept) or column
 
 
@@ -118,9 +118,9 @@ def _list_runs(runs: Mapping[str, tuple[Path, str | None]], baseline: str, folde
         "  # recognised: say what was on the shaft, such as unbalances: [{node: 2, magnitude: 9 g mm, phase: 0 deg}]\n"
     ]
     for name, (path, sheet) in runs.items():
-        of = f"file: {_write(os.path.relpath(path, folder))}" + (f", sheet: {_write(sheet)}" if sheet else "")
+        source = f"file: {_write(os.path.relpath(path, folder))}" + (f", sheet: {_write(sheet)}" if sheet else "")
         acting = "" if name == baseline else ', unbalances: "???"'
-        lines.append(f"    - {{name: {_write(name)}, {of}{acting}}}\n")
+        lines.append(f"    - {{name: {_write(name)}, {source}{acting}}}\n")
     return "".join(lines)
 
 

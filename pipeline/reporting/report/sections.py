@@ -49,7 +49,7 @@ def list_sections(content: ReportContent) -> list[Section]:
 def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
     judged, machine = content.files.get("verdicts"), content.machine_verdict
-    gaps = [Mark("warning", f"This report has no {part}: {reason}") for part, reason in content.missing.items()]
+    gaps = [Mark("warning", f"This report has no {name}: {reason}") for name, reason in content.missing.items()]
     if not judged:
         return [*gaps, "No verdicts were written: stage=verdict makes them."]
     why = " ".join(filter(None, (machine["reason"], machine["next"])))
