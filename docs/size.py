@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 583,
     "comparison": 147,
     "tuning": 541,
-    "reporting": 2435,
+    "reporting": 2437,
     "tracking": 328,
     "stages": 1184,
     "beside the rooms": 476,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17749, 14500),
+    "statements of pipeline/": (17751, 14500),
     "files": (266, 250),
     "classes": (322, 260),
     "is None, is not None": (342, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13097, 13000),
+    "statements of tests/": (13098, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (679, 380),
     "their files": (104, 75),

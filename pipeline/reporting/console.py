@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,6 +71,7 @@ def log_steps(folder: Path) -> Iterator[None]:
         return True
 
     handler.addFilter(make_folder)
+    logging.raiseExceptions = False  # a full disk is no traceback
     _STEPS.setLevel(logging.INFO)
     _STEPS.propagate = False
     _STEPS.addHandler(handler)
@@ -78,7 +79,8 @@ def log_steps(folder: Path) -> Iterator[None]:
         yield
     finally:
         _STEPS.removeHandler(handler)
-        handler.close()
+        with suppress(OSError):  # what can't be written is said of the results
+            handler.close()
 
 
 @contextmanager
