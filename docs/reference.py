@@ -173,7 +173,7 @@ def write() -> str:
         parts.append("\n| key | unit or values | default | meaning |\n|---|---|---|---|\n")
         for name in section.model_fields:
             told = unit_of(section, name), default_of(section, name, paths[0]), meaning_of(section, name)
-            parts.append(f"| `{name}` | {' | '.join(told)} |\n")
+            parts.append(f"| `{section.model_fields[name].alias or name}` | {' | '.join(told)} |\n")
     return "".join(parts)
 
 

@@ -52,8 +52,9 @@ def few(experiment: str, *overrides: str) -> Config:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below ``folder``."""
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    """Every file below ``folder``, but the log, which has what failed, too."""
+    every = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "log.txt"]
+    return {str(p.relative_to(folder)): p.read_bytes() for p in every}
 
 
 def names_in(folder: Path) -> set[str]:

@@ -8,11 +8,14 @@ leave here as :class:`~pipeline.errors.ConfigError`: the law, what came, the nex
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pipeline.config.loader import (
     STAGES,
@@ -82,12 +85,14 @@ def list_stages(mapping: Mapping[str, Any]) -> list[Any]:
 
 
 def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
-    """``mapping`` with the speeds and runs of ``machine.runs_file``, such as ``stage=design`` writes."""
+    """``mapping`` with the speeds and runs of ``machine.runs_file``, such as ``stage=design`` writes; without such a
+    file with those of vibration that was processed elsewhere, where the machine gives none."""
     import yaml
 
-    section = mapping.get("machine")
+    section, data = mapping.get("machine"), mapping.get("data")
     if not isinstance(section, Mapping) or not (file := section.get("runs_file")):
-        return mapping
+        known = isinstance(section, Mapping) and isinstance(data, Mapping)
+        return dict(mapping) | {"machine": _follow_data(section, data)} if known else mapping
     try:
         read = yaml.safe_load(Path(str(file)).read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
@@ -99,6 +104,31 @@ def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
         came = ", ".join(map(str, read)) if isinstance(read, dict) and read else quote_value(read)
         raise ConfigError(f"machine.runs_file must have speeds and runs and nothing else, but '{file}' has {came}")
     return dict(mapping) | {"machine": dict(section) | read}
+
+
+def _follow_data(machine: Any, data: Any) -> Any:
+    """``machine`` with the speeds and runs of vibration that ``data`` names, where it gives none, and the vibration has
+    no frequency of its own. Raises DataError for files that can't be read."""
+    from pipeline.data.excitation_files import read_excitations
+    from pipeline.data.tables import list_columns, read_table
+
+    vibration, excitation = (data.get(key) for key in ("vibration", "excitation"))
+    asked = {"speeds", "runs"} - {key for key, value in machine.items() if value}
+    if not (vibration and excitation and asked) or "frequency_hz" in list_columns(Path(vibration)):
+        return machine
+    rpm = np.unique(read_table(Path(vibration), {"speed_rpm": "number"})["speed_rpm"])
+    step = float(np.median(np.diff(rpm))) if len(rpm) > 1 else 1.0
+    runs: dict[str, dict[str, Any]] = {}
+    for acting in read_excitations(Path(excitation)):
+        what = {"node": acting.node, "magnitude": acting.magnitude, "phase": f"{math.degrees(acting.phase)} deg"}
+        what |= {"whirl": acting.whirl} if acting.kind == "force" else {}
+        if acting.magnitude:
+            runs.setdefault(acting.run, {"name": acting.run}).setdefault(f"{acting.kind}s", []).append(what)
+    read = {
+        "speeds": {"start_rpm": float(rpm[0]), "stop_rpm": float(rpm[-1]), "step_rpm": step},
+        "runs": list(runs.values()),
+    }
+    return dict(machine) | {key: read[key] for key in asked}
 
 
 def compose_mapping(overrides: Sequence[str] = (), folder: Path | None = None) -> dict[str, Any]:

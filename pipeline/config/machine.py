@@ -18,6 +18,7 @@ from pipeline.ingest.dataset import RecordingsConfig
 from pipeline.ingest.run_up import RunUpConfig
 from pipeline.laws.law_set import LawsConfig
 from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
+from pipeline.units import RAD_S_PER_RPM
 
 
 class PredictionConfig(Section):
@@ -33,8 +34,7 @@ class PredictionConfig(Section):
     operating: Conditions = Field(default_factory=dict)
 
 
-_NO_FORCE: dict[str, Any] = {"force_nodes": (), "force": 1.0, "whirls": (), "phases_deg": (0.0, 90.0, 180.0, 270.0)}
-_ANY_FORCE = ForceConfig(node=0, magnitude=1.0)
+_ANY_RUN = RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))
 
 
 def _follow(key: str, source: str, derive: Callable[[Any], Any], stand_in: Any) -> Any:
@@ -87,12 +87,27 @@ def _record_runs(recordings: RecordingsConfig) -> list[RunConfig]:
 
 
 def _weigh(runs: Sequence[RunConfig]) -> CandidateConfig:
-    """Weights at the nodes of the ``runs``, as large as their largest."""
+    """Weights at the nodes of the ``runs``, as large as their largest; forces where no run has a weight."""
     weights = [weight for run in runs for weight in run.unbalances]
-    if not weights:
-        raise ValueError("must be given where no run has an unbalance, but is missing")
-    nodes = tuple(sorted({weight.node for weight in weights}))
-    return CandidateConfig(unbalance_nodes=nodes, unbalance=max(weight.magnitude for weight in weights), **_NO_FORCE)
+    forces = [] if weights else [force for run in runs for force in run.forces]
+    return CandidateConfig(
+        unbalance_nodes=tuple(sorted({weight.node for weight in weights})),
+        unbalance=max((weight.magnitude for weight in weights), default=1.0),
+        force_nodes=tuple(sorted({force.node for force in forces})),
+        force=max((force.magnitude for force in forces), default=1.0),
+        whirls=tuple(dict.fromkeys(force.whirl for force in forces)),
+        phases_deg=(0.0, 90.0, 180.0, 270.0),
+    )
+
+
+def _turn(runs: Sequence[RunConfig], speed: float) -> list[UnbalanceConfig]:
+    """The weights of the first of the ``runs`` that has some, a quarter turn further; where none has, what pulls like
+    the forces of the first at the ``speed`` (rad/s)."""
+    forces = [force.model_dump(include={"node", "phase"}) for force in runs[0].forces]
+    pulls = [force.magnitude / speed**2 for force in runs[0].forces]
+    alike = [UnbalanceConfig(**force, magnitude=pull) for force, pull in zip(forces, pulls, strict=True)]
+    weights = next((run.unbalances for run in runs if run.unbalances), alike)
+    return [weight.model_copy(update={"phase": weight.phase + math.pi / 2}) for weight in weights]
 
 
 class TitleBlock(Section):
@@ -113,8 +128,8 @@ class MachineConfig(Section):
     that are saved with it, where none are given. ``speeds`` and ``runs`` are those of simulated data and of designs; of
     a machine with ``recordings`` that gives none, those that were recorded. Simulated data have all speeds and runs at
     every combination of the ``operating`` conditions; at the ``unmeasured`` ones an answer is held against the modelled
-    coefficients. ``prediction`` is by default the weights of the first run a quarter
-    turn further at the middle speed, and ``candidates`` are weights at the nodes of the runs. A
+    coefficients. ``prediction`` is by default the weights of the first run a quarter turn further at the middle speed,
+    and ``candidates`` are weights at the nodes of the runs; both are of forces where no run has a weight. A
     ``residual_unbalance`` acts in every run and is not written down: the machine has it and nobody knows. So it is with
     what ``as_built`` says: ``stage=generate`` alone knows of it, and what the truth is judged by.
     """
@@ -140,8 +155,8 @@ class MachineConfig(Section):
 
     _bearings = _follow("bearings", "rotor", _save_bearings, RotorFileBearingConfig(kind="rotor_file"))
     _speeds = _follow("speeds", "recordings", _record_speeds, SpeedsConfig(start_rpm=1, stop_rpm=1, step_rpm=1))
-    _runs = _follow("runs", "recordings", _record_runs, [RunConfig(name="x", forces=(_ANY_FORCE,))])
-    _candidates = _follow("candidates", "runs", _weigh, CandidateConfig(unbalance_nodes=(0,), unbalance=1, **_NO_FORCE))
+    _runs = _follow("runs", "recordings", _record_runs, [_ANY_RUN])
+    _candidates = _follow("candidates", "runs", _weigh, _weigh([_ANY_RUN]))
 
     @field_validator("prediction", mode="before")
     @classmethod
@@ -149,12 +164,10 @@ class MachineConfig(Section):
         alone = value is None or (isinstance(value, Mapping) and set(value) == {"operating"})
         if not alone or not {"speeds", "runs"} <= info.data.keys():
             return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
-        first = next((run.unbalances for run in info.data["runs"] if run.unbalances), ())
-        if not first:
-            raise ValueError("must be given where no run has an unbalance, but is missing")
-        turned = tuple(weight.model_copy(update={"phase": weight.phase + math.pi / 2}) for weight in first)
         rpm = info.data["speeds"].rpm()
-        at = {"node": first[0].node, "speed_rpm": rpm[len(rpm) // 2], "unbalances": turned}
+        middle = rpm[len(rpm) // 2]
+        turned = _turn(info.data["runs"], middle * RAD_S_PER_RPM)
+        at = {"node": turned[0].node, "speed_rpm": middle, "unbalances": turned}
         return PredictionConfig.model_validate(at | dict(value or {}))
 
     @rule

@@ -19,6 +19,7 @@ from pipeline.config.quantities import (
     AnyStiffness,
     Deviation,
     ShaftAngle,
+    WeightMagnitude,
 )
 from pipeline.config.runs import ForceConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
@@ -96,6 +97,7 @@ class ProbeConfig(Section):
 class MeasuredUnbalanceConfig(UnbalanceConfig):
     """An unbalance (kg m) that was on the shaft in a run; ``phase`` as ``shaft_angle`` says."""
 
+    magnitude: WeightMagnitude
     phase: ShaftAngle
 
 

@@ -112,6 +112,14 @@ def _define_quantity(unit: str, example: str, **bounds: Any) -> Any:
     return Annotated[float, BeforeValidator(lambda value: to_si(value, unit, example)), field]
 
 
+def _convert_weight(value: Any, most: float = 0.01) -> float:
+    """A number alone above ``most`` kg m, 10,000 g mm, is meant in another unit."""
+    magnitude = to_si(value, "kg * m", "100 g mm")
+    if magnitude > most and is_number(str(value)):
+        raise ValueError(f"must carry its unit (such as 100 g mm), since a number alone is in kg m, but got {value}")
+    return magnitude
+
+
 Length = _define_quantity("m", "150 mm", gt=0)
 Bore = _define_quantity("m", "0 mm", ge=0)
 Deviation = _define_quantity("m", "0.1 um", ge=0)
@@ -134,6 +142,9 @@ RotorSpeed = _define_quantity("rad / s", "2000 rpm", gt=0)
 Frequency = _define_quantity("Hz", "5120 Hz", gt=0)
 ShaftAngle = Annotated[float, BeforeValidator(_convert_angle), Field(json_schema_extra={"unit": "rad"})]
 """rad, between -pi and pi where it had a unit; a number that can only be degrees is refused."""
+
+WeightMagnitude = Annotated[float, BeforeValidator(_convert_weight), Field(json_schema_extra={"unit": "kg * m"}, gt=0)]
+"""kg m, of a weight that somebody put on; a number that can only be in another unit is refused."""
 
 
 # --- numbers that may be unknown -------------------------------------------------------------------------

@@ -78,10 +78,12 @@ class ExportConfig(Section):
 
 
 class NewConfig(Section):
-    """``stage=new`` writes a machine file for this kind of bearings and this source of data."""
+    """``stage=new`` writes a machine file for this kind of bearings and this source of data, or for that of a file of a
+    logger (``from``), filled with what is recognised in it."""
 
     bearings: Literal["rolling", "fluid_film"]
     data: Literal["recordings", "tables", "processed", "simulated"]
+    source: str | None = Field(default=None, alias="from")
 
 
 class PromotedConfig(Section):

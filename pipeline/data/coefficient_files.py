@@ -203,11 +203,13 @@ def _interpolate_known(table: Columns, rpm: np.ndarray, where: str, rounding: fl
         column = table[name][order]
         if np.isnan(column).any():
             raise DataError(f"{where} must have {name} at every speed, but some are blank")
-        columns[name] = _interpolate(given, column, np.clip(rpm, given[0], given[-1]))
+        columns[name] = interpolate(given, column, np.clip(rpm, given[0], given[-1]))
     return columns
 
 
-def _interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The ``column`` (n,) at ``given`` speeds (n,), ascending, at those that are ``wanted`` (m,), by a cubic spline; of
+    less than four by straight lines."""
     if len(given) < 4 or np.isin(wanted, given).all():
         return np.interp(wanted, given, column)
     from scipy.interpolate import CubicSpline

@@ -89,6 +89,33 @@ def list_columns(path: Path, text: CsvConfig = PLAIN) -> list[str]:
     return _read_any(path, {}, text).names
 
 
+def list_units(path: Path, text: CsvConfig = PLAIN, head: int = 100) -> dict[str, str]:
+    """Name of each column -> the words of the rows of units below it. Raises DataError as :func:`read_table`."""
+    require_file(path)
+    if path.suffix.lower() in (".xlsx", ".xlsm"):
+        rows: list[Any] = _read_sheet(path, text)
+    elif is_csv(path):
+        text = recognize_csv(path, (), text)
+        with path.open(newline="", encoding=text.encoding, errors="replace") as file:
+            rows = list(islice(csv.reader(file, delimiter=text.delimiter or ","), head))
+    else:
+        return dict.fromkeys(list_columns(path, text), "")
+    skip, units = find_header(rows[:head], (), text.skip_rows)
+    below = [" ".join(str(cell or "") for cell in column[1:]) for column in zip_longest(*rows[skip : skip + 1 + units])]
+    return dict(zip(map(str, rows[skip] if rows else ()), below, strict=False))
+
+
+def list_sheets(path: Path) -> list[str | None]:
+    """Those of a workbook; a single None for another file, and for a workbook of one sheet."""
+    if path.suffix.lower() not in (".xlsx", ".xlsm"):
+        return [None]
+    import openpyxl
+
+    with open_measured(path, "Excel file (.xlsx)"):
+        names = openpyxl.load_workbook(path, read_only=True).sheetnames
+    return names if len(names) > 1 else [None]
+
+
 def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     require_file(path)
     return _READERS.get(path.suffix.lower(), _read_csv)(path, columns, text)
@@ -187,7 +214,8 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
     return _Table(header, columns, text.first, text.decimal or ".")
 
 
-def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
+def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
+    """Its rows."""
     with open_measured(path, "Excel file (.xlsx)"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and validations, which hold no data
         import openpyxl
@@ -199,6 +227,12 @@ def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Tab
         sheet.reset_dimensions()  # what other programs write there may be wrong
         rows = list(sheet.iter_rows(values_only=True))
         book.close()
+    return rows
+
+
+def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
+    with open_measured(path, "Excel file (.xlsx)"):
+        rows = _read_sheet(path, text)
         skip, units = find_header(rows[:100], columns, text.skip_rows)
         units = units if text.unit_rows is None else text.unit_rows
         header, rows = rows[skip], rows[skip + 1 + units :]

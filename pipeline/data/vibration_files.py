@@ -62,17 +62,23 @@ def write_range(speeds: np.ndarray) -> str:
     return f"{rpm.min():g} to {rpm.max():g} rpm"
 
 
-def find_speed(rpm: float, speeds: np.ndarray, within: float = 1e-3) -> int:
-    """The index among ``speeds`` (S,) rad/s of machine.prediction.speed_rpm; ``within`` is a share: nominal speeds of
-    records are means with many digits. Raises ConfigError where none is as near."""
+def place_speed(rpm: float, speeds: np.ndarray, within: float = 1e-3) -> tuple[np.ndarray, int]:
+    """``speeds`` (S,) rad/s, ascending, with machine.prediction.speed_rpm among them, and its index.
+
+    One that is as near as the share ``within`` stands for it: nominal speeds of records are means with many digits.
+    Raises ConfigError outside of the speeds.
+    """
     every = to_rpm(speeds)
     nearest = int(np.abs(every - rpm).argmin())
-    if abs(every[nearest] - rpm) > within * rpm:
+    if abs(every[nearest] - rpm) <= within * rpm:
+        return speeds, nearest
+    if not every[0] < rpm < every[-1]:
         raise ConfigError(
-            "machine.prediction.speed_rpm must be one of the data's speeds (known coefficients are given there), but "
-            f"got {rpm:g}: the nearest is {every[nearest]:g}"
+            f"machine.prediction.speed_rpm must lie within the data's speeds, {write_range(speeds)}, but got {rpm:g}: "
+            "choose one there, since nothing is extrapolated"
         )
-    return nearest
+    at = int(np.searchsorted(every, rpm))
+    return np.insert(speeds, at, rpm * RAD_S_PER_RPM), at
 
 
 def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, str] | None = None) -> Path:

@@ -10,8 +10,9 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import ProbeConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.simulate import solve_response
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 
 
@@ -41,6 +42,21 @@ def note_size(
         f"the amplitudes are {text} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a unit wrong, of "
         "the lengths or of the unbalances?"
     ]
+
+
+def require_clearance(dataset: VibrationDataset, bearings: BearingConfig, nodes: Sequence[int]) -> None:
+    """Raise DataError where an amplitude leaves the radial clearance that a bearing at one of the ``nodes`` states."""
+    for node in nodes:
+        clearance = getattr(bearings.at(node), "radial_clearance", np.inf)
+        here = [c for c, channel in enumerate(dataset.channels) if channel[0] == node]
+        largest = np.abs(dataset.displacement[:, here]).max(axis=(0, 1), initial=0.0)
+        if largest.max() > clearance:
+            raise DataError(
+                f"amplitudes at node {node} must lie within the radial clearance of its bearing "
+                f"(machine.bearings: {1e6 * clearance:g} um), but run '{dataset.runs[int(largest.argmax())]}' has "
+                f"{1e6 * largest.max():.4g} um, {largest.max() / clearance:.3g} times as much: check the unit (um "
+                "called mm are 1000 times too large, um called mil 25.4 times), or correct the clearance"
+            )
 
 
 def note_whirl(dataset: VibrationDataset) -> list[str]:

@@ -115,7 +115,8 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
         raise DataError(
             f"every run must cover machine.recordings.speeds ({format_rpm(speeds[0])} to {format_rpm(speeds[-1])} "
             f"rpm), but the speed range of run '{run.name}' is {_format_range(track)} at probe '{probe}' "
-            f"({run.source}): nothing is extrapolated, choose machine.recordings.speeds within it"
+            f"({run.source}): {_name_confusion(track.speeds, speeds)}nothing is extrapolated, choose "
+            "machine.recordings.speeds within it"
         )
     if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
         return track.vectors
@@ -131,6 +132,20 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
 
     values: np.ndarray = CubicSpline(track.speeds, track.vectors)(inside)
     return values
+
+
+_CONFUSED = {60.0: "rpm called Hz", 1 / 60: "Hz called rpm", 1 / RAD_S_PER_RPM: "rpm called rad/s"}
+"""Unit of speed that is taken for another, by the factor that speeds are then too large by."""
+
+
+def _name_confusion(speeds: np.ndarray, wanted: np.ndarray) -> str:
+    """The unit that ``speeds`` are in if another one makes them cover those that are ``wanted``; else nothing."""
+    for factor, confused in _CONFUSED.items():
+        low, high = speeds[[0, -1]] / factor
+        if low * (1 - ROUNDING) <= wanted[0] and wanted[-1] <= high * (1 + ROUNDING):
+            times = f"{factor:.3g} times too large" if factor > 1 else f"{1 / factor:.3g} times too small"
+            return f"speeds that are {times} are {confused} (machine.recordings.conventions.speed); "
+    return ""
 
 
 def format_rpm(speed: float) -> str:

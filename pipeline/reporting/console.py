@@ -1,10 +1,13 @@
-"""Lines, tables and progress on the terminal."""
+"""Lines, tables and progress on the terminal, and its steps in a file."""
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.reporting.blocks import Cell
@@ -52,13 +55,46 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> 
         _open_console(False).print(drawn, markup=False, crop=False)
 
 
+_STEPS = logging.getLogger(__name__)
+"""What long steps have done."""
+
+
+@contextmanager
+def log_steps(folder: Path) -> Iterator[None]:
+    """Write each step of what has a bar into ``log.txt`` of the ``folder``, a line with its time; without any, none."""
+    handler = logging.FileHandler(folder / "log.txt", encoding="utf-8", delay=True)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+
+    def make_folder(record: logging.LogRecord) -> bool:
+        """Before the first line."""
+        folder.mkdir(parents=True, exist_ok=True)
+        return True
+
+    handler.addFilter(make_folder)
+    logging.raiseExceptions = False  # a full disk is no traceback
+    _STEPS.setLevel(logging.INFO)
+    _STEPS.propagate = False
+    _STEPS.addHandler(handler)
+    try:
+        yield
+    finally:
+        _STEPS.removeHandler(handler)
+        with suppress(OSError):  # what can't be written is said of the results
+            handler.close()
+
+
 @contextmanager
 def training_progress(name: str) -> Iterator[Progress]:
-    """Show a bar with the loss and the rate of a training."""
+    """Show a bar with the loss and the rate of a training; of its steps the log has one a second, and the last."""
+    due = 0.0
     with _show_bar(name, None) as (bar, task):
 
         def update(phase: str, step: int, total: int, loss: float) -> None:
             """As :data:`pipeline.identification.training.Progress`."""
+            nonlocal due
+            if time.monotonic() > due or step == total:
+                due = time.monotonic() + 1.0
+                _STEPS.info("%s %s: step %d of %d, loss %s", name, phase, step, total, write_number(loss))
             rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
                 task,
@@ -75,7 +111,13 @@ def training_progress(name: str) -> Iterator[Progress]:
 def count_progress(name: str, total: int) -> Iterator[Callable[[int, str], None]]:
     """Show a bar for what is done one after another; it is given how many are done, and what they are in words."""
     with _show_bar(name, total) as (bar, task):
-        yield lambda done, words: bar.update(task, completed=done, words=f"{words}, left:")
+
+        def update(done: int, words: str) -> None:
+            """So many are done."""
+            _STEPS.info("%s: %d of %d %s", name, done, total, words)
+            bar.update(task, completed=done, words=f"{words}, left:")
+
+        yield update
 
 
 @contextmanager

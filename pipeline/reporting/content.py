@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
-from pipeline.data.operating import name_state
+from pipeline.data.operating import find_nearest, name_state
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
@@ -29,8 +29,7 @@ from pipeline.reporting.blocks import Mark
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.twin.at_conditions import say_beyond
-from pipeline.twin.mode_deviations import Behaviour
+from pipeline.twin.at_conditions import pick_middle, say_beyond
 from pipeline.twin.twin import Twin
 
 MOST_PROBES, MOST_RUNS = 8, 6
@@ -60,7 +59,7 @@ class FitContent:
     """What was identified, and how it follows the readings."""
 
     answer: Answer
-    twin: Twin
+    twin: Twin | None  # None where the prediction can't be made
     modelled: BearingTable | None  # the truth, where there is one
     training: Mapping[str, Any]  # training.json
 
@@ -75,7 +74,11 @@ class FitContent:
 
     @cached_property
     def at_conditions(self) -> Coefficients:
-        """Those of the twin: at the conditions of the prediction, at each speed once; the same without conditions."""
+        """Those of the twin: at the conditions of the prediction, at each speed once; without it the data's
+        that are nearest."""
+        if self.twin is None:
+            data = self.answer.measurement.dataset
+            return self.coefficients.at(find_nearest(data.speeds, data.operating, self.operating)[1])
         return self.collect(self.twin.systems["identified"])
 
     @cached_property
@@ -92,24 +95,25 @@ class FitContent:
         return measurement.deviation_of(measurement.dataset.displacement, measurement.baseline, factor)
 
     @property
-    def behaviour(self) -> Behaviour:
-        """That of the identified machine."""
-        return self.twin.behaviour["identified"]
+    def operating(self) -> Mapping[str, float]:
+        """The conditions of the prediction, or those in the middle of the data, SI."""
+        return self.twin.operating if self.twin else pick_middle(self.answer.measurement.dataset.operating)
 
     @property
     def state(self) -> str:
         """The conditions of the prediction, such as `` at 70 degC``; no words without any."""
-        return f" at {name_state(self.twin.operating)}" if self.twin.operating else ""
+        return f" at {name_state(self.operating)}" if self.operating else ""
 
     @property
     def beyond(self) -> list[str]:
-        """Which of the twin's conditions lie outside the data, in words."""
-        return say_beyond(self.answer.measurement.dataset.operating, self.twin.operating)
+        """Which of these lie outside the data, in words."""
+        return say_beyond(self.answer.measurement.dataset.operating, self.operating)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReportContent:
-    """Everything that the sections read. ``files`` holds the JSON files of the experiment by name, where they are."""
+    """Everything that the sections read. ``files`` holds the JSON files of the experiment by name, where they are, and
+    ``missing`` why what is not there could not be made."""
 
     config: Config
     measurement: Measurement
@@ -118,6 +122,16 @@ class ReportContent:
     spectra: Mapping[str, FullSpectra] = field(default_factory=dict)  # beyond 1X, of time signals, by run and node
     reference: Mapping[str, np.ndarray] = field(default_factory=dict)  # coefficients to compare with, at their speeds
     origin: Mapping[str, str] = field(default_factory=dict)  # versions, hashes, command
+    missing: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def machine_verdict(self) -> Mapping[str, Any]:
+        """That of the whole machine, or why there is none."""
+        none = dict.fromkeys(("reservation", "identified", "next"), "") | {
+            "verdict": "none",
+            "reason": self.missing.get("verdicts", "stage=verdict makes it"),
+        }
+        return self.files["verdicts"]["machine"] if "verdicts" in self.files else none
 
     @property
     def dataset(self) -> VibrationDataset:
@@ -213,7 +227,7 @@ class ReportContent:
 
 def list_reservations(content: ReportContent) -> list[Mark]:
     """The warning that stands beside all that follows from a rejected model."""
-    reservation = content.files["verdicts"]["machine"]["reservation"]
+    reservation = content.machine_verdict["reservation"]
     return [Mark("warning", reservation)] if reservation else []
 
 

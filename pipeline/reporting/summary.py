@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, unit
+from pipeline.config.machine import PredictionConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import name_direction
 from pipeline.data.operating import name_state, split_states
@@ -20,6 +21,7 @@ from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.twin.modes import Stability
+from pipeline.twin.twin import Twin
 from pipeline.write_numbers import count, format_engineering, write_number, write_percent
 
 WIDTH = 100
@@ -30,9 +32,7 @@ _MOST_ROWS = 16
 
 def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
-    config, judged = content.config, content.files["verdicts"]["machine"]
-    modes: Mapping[str, Any] = summarize_modes(fit.behaviour, config.machine.prediction.speed_rpm)
-    rejected = "OF A REJECTED MODEL: " if judged["reservation"] else ""
+    config, judged = content.config, content.machine_verdict
     whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
     numbers = [
         f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
@@ -50,13 +50,25 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
         *_wrap_entry("verdict", f"{whole}; {describe_verdicts(fit.training)}"),
         *_wrap_entry("fit", _describe_fit(fit.training)),
         *_wrap_entry("", _describe_run(content)),
-        *_wrap_entry("critical", rejected + list_critical_speeds(fit, modes["critical_speeds"])),
-        *_wrap_entry("stability", rejected + describe_stability(modes["stability"])),
-        *_wrap_entry("prediction", rejected + _describe_prediction(config, fit)),
-        *(line for text in fit.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
+        *_describe_twin(content, fit),
         f"{'picture':<{len(_INDENT)}}{picture}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _describe_twin(content: ReportContent, fit: FitContent) -> list[str]:
+    """What the machine does where nobody measured, or why nothing can be said of it."""
+    if fit.twin is None:
+        return _wrap_entry("missing", f"critical speeds, stability, prediction: {content.missing['twin']}")
+    asked = content.config.machine.prediction
+    modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], asked.speed_rpm)
+    rejected = "OF A REJECTED MODEL: " if content.machine_verdict["reservation"] else ""
+    return [
+        *_wrap_entry("critical", rejected + list_critical_speeds(fit, modes["critical_speeds"])),
+        *_wrap_entry("stability", rejected + describe_stability(modes["stability"])),
+        *_wrap_entry("prediction", rejected + _describe_prediction(asked, fit, fit.twin)),
+        *(line for text in fit.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
+    ]
 
 
 def _wrap_entry(name: str, text: str) -> list[str]:
@@ -93,18 +105,23 @@ def describe_data(content: ReportContent, fit: FitContent) -> str:
 
 
 def _list_speeds(fit: FitContent) -> np.ndarray:
-    """(U,) the different speeds in rpm, those of the prediction."""
-    return to_rpm(fit.twin.vibration["identified"].speeds)
+    """(U,) the different speeds of the data in rpm."""
+    return to_rpm(np.unique(fit.answer.measurement.dataset.speeds))
 
 
 def _name_state(fit: FitContent) -> str:
     """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
-    return f", {name_state(fit.twin.operating)}" if fit.twin.operating else ""
+    return f", {name_state(fit.operating)}" if fit.operating else ""
+
+
+def _find_speed(config: Config, fit: FitContent) -> int:
+    """The index among these of the one nearest to that of the prediction."""
+    return int(np.abs(_list_speeds(fit) - config.machine.prediction.speed_rpm).argmin())
 
 
 def _pick_columns(config: Config, fit: FitContent) -> list[tuple[str, int]]:
     """Heads and points of the table: up to three speeds, or up to three states at the prediction's speed."""
-    answer, rpm, at = fit.coefficients.identified, fit.coefficients.rpm, fit.twin.at
+    answer, rpm, at = fit.coefficients.identified, fit.coefficients.rpm, _find_speed(config, fit)
     if config.model.kind == "constant":
         return [("at every speed", 0)]
     if not answer.operating:
@@ -118,7 +135,7 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
     """A row a bearing and coefficient, at up to three speeds or states; constants have one value."""
     shown, columns = fit.coefficients, _pick_columns(config, fit)
     several = len(columns) > 1 and bool(shown.identified.operating)
-    speed = f" at {_list_speeds(fit)[fit.twin.at]:g} rpm" if several else ""
+    speed = f" at {_list_speeds(fit)[_find_speed(config, fit)]:g} rpm" if several else ""
     known = " +- one standard deviation" if shown.stated else ""
     against = f", and the median error over the {'points' if several else 'speeds'}" if shown.compared else ""
     heads = "".join(f"{head:>22}" for head, _ in columns) + (f"{'error %':>12}" if shown.compared else "")
@@ -186,14 +203,11 @@ def describe_stability(stability: Mapping[str, Any]) -> str:
     return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"
 
 
-def _describe_prediction(config: Config, fit: FitContent) -> str:
+def _describe_prediction(asked: PredictionConfig, fit: FitContent, twin: Twin) -> str:
     """The vibration at the prediction's speed, and the largest of all speeds."""
-    identified, at = fit.twin.vibration["identified"], fit.twin.at
+    identified, at = twin.vibration["identified"], twin.at
     rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
-    acting = _join(
-        f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}"
-        for unbalance in config.machine.prediction.unbalances
-    )
+    acting = _join(f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}" for unbalance in asked.unbalances)
     shown = zip("xy", size[at].tolist(), deviation[at].tolist(), strict=True)
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in shown]
     s, d = np.unravel_index(size.argmax(), size.shape)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
-from pipeline.data.operating import find_nearest, name_state
+from pipeline.data.operating import find_nearest
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLUE,
@@ -30,6 +30,7 @@ from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary import name_channel
 from pipeline.reporting.twin import measure_sizes
+from pipeline.twin.twin import Twin
 from pipeline.units import RAD_S_PER_RPM
 
 _AMPLITUDE = "amplitude (µm, zero-to-peak)"
@@ -41,10 +42,10 @@ def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
     Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
     """
     data = content.dataset
-    label, points = find_nearest(data.speeds, data.operating, fit.twin.operating)
+    label, points = find_nearest(data.speeds, data.operating, fit.operating)
     beside = f", {label}" if data.operating else ""
     panels = [draw_kind(fit.coefficients.at(points), letter, beside) for letter in "kc"]
-    panels += [_draw_run(content, fit, points, beside), _draw_response(fit)]
+    panels += [_draw_run(content, fit, points, beside), *([_draw_response(fit.twin, fit.state)] if fit.twin else [])]
     return write_figure(path, Figure("summary", content.config.name, panels))
 
 
@@ -97,9 +98,9 @@ def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, besid
     )
 
 
-def _draw_response(fit: FitContent) -> Panel:
+def _draw_response(twin: Twin, state: str) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled = fit.twin.vibration["identified"], fit.twin.vibration.get("modelled")
+    identified, modelled = twin.vibration["identified"], twin.vibration.get("modelled")
     rpm, curves, (sizes, deviations) = to_rpm(identified.speeds), [], measure_sizes(identified)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
         size, label = sizes[:, d], f"{direction} predicted"
@@ -109,11 +110,11 @@ def _draw_response(fit: FitContent) -> Panel:
             true = measure_sizes(modelled)[0][:, d]
             curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
         curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in fit.behaviour.critical]
+    critical = [mode.speed / RAD_S_PER_RPM for mode in twin.behaviour["identified"].critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
-    state = f", {name_state(fit.twin.operating)}" if fit.twin.operating else ""
-    title = f"predicted: node {identified.node} under an unbalance that no run has{state}"
+    at = f",{state.removeprefix(' at')}" if state else ""
+    title = f"predicted: node {identified.node} under an unbalance that no run has{at}"
     return Panel(
         title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
     )

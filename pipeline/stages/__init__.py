@@ -19,13 +19,15 @@ def run_stages(configs: Iterable[Config]) -> None:
 
     Raises PipelineError for a user's mistake, SystemExit for an exit code.
     """
+    from pipeline.reporting.console import log_steps
     from pipeline.stages.analysis import Analysis
     from pipeline.stages.execution import execute
 
     analysis: Analysis | None = None
     for config in configs:
         analysis = analysis.at(config) if analysis else Analysis(config)
-        execute(analysis)
+        with log_steps(analysis.files.folder):
+            execute(analysis)
 
 
 def run_stage(config: Config) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.data.tables import write_table
+from pipeline.errors import ConfigError
 from pipeline.files import write_json
 from pipeline.identification.combinations import combine
 from pipeline.identification.fit import loss_of
@@ -12,7 +13,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.determination import summarize_determined
 from pipeline.problem.diagnosis import budget_percent
 from pipeline.problem.identifiability import Solvability
-from pipeline.reporting.console import say, table
+from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.diagnosis import (
     describe_combinations,
     draw_budget,
@@ -29,6 +30,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.before_fit import describe_noise, diagnose_laws
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
+from pipeline.twin.twin import plan_twin
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -37,6 +39,10 @@ def run(analysis: Analysis) -> StageOutput:
     use_threads(config)
     noise, numbers = describe_noise(config), diagnose_laws(analysis)
     diagnosis = diagnose(analysis)
+    try:
+        plan_twin(config.machine, measurement)
+    except ConfigError as error:
+        warn(f"{config.name}: no prediction can follow a fit, and summary and report will lack it: {error}")
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
     print_diagnosis(config.name, diagnosis, noise)

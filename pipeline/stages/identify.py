@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from pipeline.config.loader import RESULTS, STAGES
-from pipeline.errors import PipelineError
+from pipeline.errors import IdentifiabilityError, PipelineError
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
@@ -15,13 +15,19 @@ def run(analysis: Analysis) -> StageOutput:
     """Read or simulate the data, diagnose, train; then each stage of the results. One of these that can't be made is
     skipped with its reason, and what an earlier command left of it is removed.
 
-    Raises PipelineError for data that can't be read, and for coefficients that they do not determine.
+    Raises PipelineError for data that can't be read, and, with a report of these alone, for coefficients that they do
+    not determine.
     """
     config, work, started = analysis.config, analysis.files, time.perf_counter()
     made, skipped = [], []
     source = [config.machine.recordings.made_by] if work.own else []
-    for stage in (*source, "diagnose", "train"):
+    for stage in (*source, "diagnose"):
         analysis.run(stage)
+    try:
+        analysis.run("train")
+    except IdentifiabilityError:
+        analysis.run("report")
+        raise
     for stage, file in RESULTS.items():
         if stage not in STAGES:
             continue

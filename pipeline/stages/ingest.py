@@ -8,7 +8,7 @@ from pipeline.data.tables import read_marks
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import read_measured_runs
-from pipeline.ingest.plausibility import note_casing, note_size, note_whirl
+from pipeline.ingest.plausibility import note_casing, note_size, note_whirl, require_clearance
 from pipeline.ingest.records import to_dataset
 from pipeline.problem.configured import load_known
 from pipeline.reporting.console import say, warn
@@ -81,6 +81,7 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
         acting = [*(weight.node for weight in run.unbalances), *(force.node for force in run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{run.name}',", acting)
     measured, model = read_measured_runs(recordings), config.model
+    require_clearance(measured.recorded, config.machine.bearings, rotor.bearing_nodes)
     notes = [*note_casing(recordings.probes, rotor.bearing_nodes), *measured.notes, *note_whirl(measured.recorded)]
     notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute
+from pipeline.data.csv_format import CsvConfig, describe_format
+from pipeline.data.tables import is_csv
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
+from pipeline.ingest.recognition import recognize_recordings
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
@@ -27,9 +32,16 @@ def run(analysis: Analysis) -> StageOutput:
     if os.path.lexists(path):
         raise DataError(f"stage=new must not replace a file, but '{path}' is there: choose another name, or move it")
     command = f"python -m pipeline {{}} {quote_override('machine.file', config.machine.file)}"
-    write_text(path, fill_template(path, config.new.bearings, config.new.data))
+    data, guesses = config.new.data, dict[str, str]()
+    if config.new.source:
+        source = make_absolute(config.new.source)
+        data, guesses = recognize_recordings(source, path.parent)
+        for sentence in describe_format(source, (), CsvConfig()) if is_csv(source) and source.suffix != ".npz" else ():
+            say(sentence)
+    text = insert_guesses(fill_template(path, config.new.bearings, data), guesses)
+    write_text(path, text)
     say(f"machine file in '{path}'")
-    if config.new.data == "simulated":
+    if data == "simulated":
         say(f"it runs as it is; next: {command.format('stage=identify')}")
     else:
         say(
@@ -39,14 +51,27 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(files=[path])
 
 
+def insert_guesses(text: str, guesses: Mapping[str, str]) -> str:
+    """A machine file with what was recognised in place of the example's: the values, or lines, of keys of
+    ``recordings``."""
+    before, mark, recordings = text.partition("\nrecordings:\n")
+    for key, guess in guesses.items():
+        value = guess if guess.startswith("  #") else f" {guess}"  # lines, with what to confirm of them
+        pattern = rf"(?m)^( +{key}:)(?: [^#\n]+?(?= *(?:#|$))|.*\n(?:    .*\n)+)"
+        found = re.search(pattern, recordings)
+        if found:
+            recordings = recordings[: found.start()] + found[1] + value + recordings[found.end() :]
+    return before + mark + recordings
+
+
 def fill_template(path: Path, bearings: str, data: str) -> str:
     """The text of a machine file for this kind of bearings and source of data.
 
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
     """
     sections = {
-        "simulated": {"simulated", "planned"},
-        "processed": {"processed", "planned", "measured"},
+        "simulated": {"simulated"},
+        "processed": {"processed", "measured"},
         "recordings": {"recordings", "recorded", "measured"},
         "tables": {"tables", "recorded", "measured"},
     }

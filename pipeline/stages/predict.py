@@ -24,17 +24,19 @@ from pipeline.reporting.twin import (
 )
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.measurement import ANSWER, load_modelled, restore
+from pipeline.stages.measurement import ANSWER, load_modelled, prepare, restore
 from pipeline.stages.verdict import say_reservation
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.prediction import error_percent
-from pipeline.twin.twin import Twin, build_twin, superpose_unseen
+from pipeline.twin.twin import Twin, build_twin, plan_twin, superpose_unseen
 
 
 @made_once(*ANSWER)
 def load_twin(analysis: Analysis) -> Twin:
     """The twin, training first where its model is missing. Raises as :func:`pipeline.twin.twin.build_twin`."""
-    answer, config = restore(analysis), analysis.config
+    config = analysis.config
+    plan_twin(config.machine, prepare(analysis))  # before any fit
+    answer = restore(analysis)
     return build_twin(config.machine, answer, load_modelled(config, answer.measurement))
 
 
@@ -56,7 +58,7 @@ def run(analysis: Analysis) -> StageOutput:
             direction: {"mean_error_percent": float(e.mean()), "max_error_percent": float(e.max())}
             for direction, e in zip("xy", error.T, strict=True)
         }
-    summed = superpose_unseen(config.machine, measurement, twin.operating)
+    summed = superpose_unseen(config.machine, measurement, twin)
     if summed is not None and "modelled" in vibration:
         truth = vibration["modelled"].displacement
         off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
@@ -79,8 +81,11 @@ def run(analysis: Analysis) -> StageOutput:
 def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int) -> None:
     beside = f"{config.name}: influence coefficients (sums of the runs, without a bearing model)"
     if summed is None:
-        conditions = ", or not all runs were measured at these conditions" if "operating" in summary else ""
-        say(f"{beside} have no answer: the unbalance is no sum of the runs', or no probes show the node{conditions}")
+        conditions = "conditions and speeds" if "operating" in summary else "speeds"
+        say(
+            f"{beside} have no answer: the unbalance is no sum of the runs', no probes show the node, or not all runs "
+            f"were measured at these {conditions}"
+        )
         return
     size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
     off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())

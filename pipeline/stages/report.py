@@ -16,7 +16,7 @@ from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
-from pipeline.stages.summary import collect_fit
+from pipeline.stages.summary import attempt, collect_fit
 from pipeline.stages.verdict import load_judgement
 from pipeline.tracking.entries import describe_provenance
 
@@ -35,7 +35,8 @@ def run(analysis: Analysis) -> StageOutput:
         write_page(work.folder / "report.html", title, head, sections),
         write_pdf(work.folder / "report.pdf", title, head, sections, config.machine.report.paper),
     ]
-    say(f"{config.name}: report in '{written[0]}' and '{written[1]}'")
+    without = "".join(f"\n  without {part}: {reason}" for part, reason in content.missing.items())
+    say(f"{config.name}: report in '{written[0]}' and '{written[1]}'{without}")
     return StageOutput(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)
 
 
@@ -46,19 +47,22 @@ def collect_content(analysis: Analysis) -> ReportContent:
     """
     config, work, measurement = analysis.config, analysis.files, prepare(analysis)
     reference = {} if config.report.reference is None else read_reference(Path(config.report.reference))
-    fit = _read_fit(analysis)
+    missing: dict[str, str] = {}
+    fit = _read_fit(analysis, missing)
     analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
-    names, judged = ["ingest", "diagnosis"], {}
+    names, judged = ["ingest", "diagnosis"], None
     if fit is not None:
-        analysis.require("evaluate", work.metrics, behind=work.training)
-        names, judged = [*names, "metrics"], {"verdicts": load_judgement(analysis)}
+        attempt(_require_errors, analysis, "errors", missing)
+        names = [*names, *(() if "errors" in missing else ("metrics",))]
+        judged = attempt(load_judgement, analysis, "verdicts", missing)
     contents = {name: work.folder / f"{name}.json" for name in names}
     return ReportContent(
         config=config,
         measurement=measurement,
         fit=fit,
         spectra=_read_spectra(config),
-        files={name: read_json(path) for name, path in contents.items() if path.exists()} | judged,
+        files={name: read_json(path) for name, path in contents.items() if path.exists()}
+        | ({"verdicts": judged} if judged else {}),
         reference=reference,
         origin=describe_origin(
             config,
@@ -66,14 +70,21 @@ def collect_content(analysis: Analysis) -> ReportContent:
             (work.vibration, work.excitation, work.folder / "model.safetensors"),
             describe_provenance(),
         ),
+        missing=missing,
     )
 
 
-def _read_fit(analysis: Analysis) -> FitContent | None:
+def _require_errors(analysis: Analysis) -> None:
+    """Evaluate first where that is missing or older than the fit."""
+    analysis.require("evaluate", analysis.files.metrics, behind=analysis.files.training)
+
+
+def _read_fit(analysis: Analysis, missing: dict[str, str]) -> FitContent | None:
     """The fit, training first where it is missing; None, with a warning, where the data determine nothing."""
     try:
-        return collect_fit(analysis, load_modelled(analysis.config, restore(analysis).measurement))
+        return collect_fit(analysis, load_modelled(analysis.config, restore(analysis).measurement), missing)
     except IdentifiabilityError as error:
+        missing["fit"] = str(error)
         warn(f"{error}\n{analysis.config.name}: the report has what was measured and the diagnosis alone")
         return None
 

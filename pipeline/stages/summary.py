@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from pipeline.data.as_built import stand_on_pedestals
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json, write_text
 from pipeline.reporting.console import say
 from pipeline.reporting.content import FitContent, ReportContent
@@ -15,6 +19,8 @@ from pipeline.stages.measurement import AGAIN, load_modelled, restore
 from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
 
+_T = TypeVar("_T")
+
 
 def run(analysis: Analysis) -> StageOutput:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
@@ -22,9 +28,15 @@ def run(analysis: Analysis) -> StageOutput:
     modelled, built = load_modelled(config, answer.measurement), config.machine.as_built
     if modelled is not None and built is not None:  # as the shaft feels them
         modelled = stand_on_pedestals(modelled, built)
-    fit = collect_fit(analysis, modelled)
+    missing: dict[str, str] = {}
+    fit = collect_fit(analysis, modelled, missing)
+    verdicts = attempt(load_judgement, analysis, "verdicts", missing)
     content = ReportContent(
-        config=config, measurement=answer.measurement, fit=fit, files={"verdicts": load_judgement(analysis)}
+        config=config,
+        measurement=answer.measurement,
+        fit=fit,
+        files={"verdicts": verdicts} if verdicts else {},
+        missing=missing,
     )
     picture = draw_summary(work.figure("summary"), content, fit)
     text = write_summary(content, fit, picture)
@@ -33,7 +45,17 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(tags=answer.tags, files=written)
 
 
-def collect_fit(analysis: Analysis, modelled: BearingTable | None) -> FitContent:
-    """What was identified, training first where it is missing, beside the truth that is ``modelled``."""
-    answer = restore(analysis)
-    return FitContent(answer, load_twin(analysis), modelled, read_json(analysis.files.training, AGAIN))
+def collect_fit(analysis: Analysis, modelled: BearingTable | None, missing: dict[str, str]) -> FitContent:
+    """What was identified, training first where it is missing, beside the truth that is ``modelled``; without a twin
+    where ``missing`` has the reason."""
+    answer, twin = restore(analysis), attempt(load_twin, analysis, "twin", missing)
+    return FitContent(answer, twin, modelled, read_json(analysis.files.training, AGAIN))
+
+
+def attempt(make: Callable[[Analysis], _T], analysis: Analysis, part: str, missing: dict[str, str]) -> _T | None:
+    """What ``make`` makes; None where it can't, with the reason in ``missing``, and the rest goes on without."""
+    try:
+        return make(analysis)
+    except (ConfigError, DataError) as error:
+        missing[part] = str(error)
+        return None

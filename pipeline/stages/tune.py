@@ -13,7 +13,7 @@ from pipeline.files import read_json
 from pipeline.identification.fit import loss_of
 from pipeline.identification.residual_loss import fit_chebyshev
 from pipeline.identification.training import setup_of
-from pipeline.reporting.console import say
+from pipeline.reporting.console import count_progress, say
 from pipeline.reporting.study_files import AGAIN, STUDY_FILES, SUMMARY, write_study
 from pipeline.reporting.study_report import StudyReport, summarize_study
 from pipeline.stages.analysis import Analysis
@@ -53,7 +53,9 @@ def _report(config: Config, problem: StudyProblem, study: Any, searched: float) 
     if before.get("study_fingerprint") == mark:
         say(f"{config.name}: the study has its {len(trials)} trials, and '{folder}' is what came of them")
         return StageOutput(before)
-    finalists, setup = train_finalists(study, problem), setup_of(config)
+    most = (config.tuning.finalists + 1) * len(config.tuning.seeds)
+    with count_progress(config.name, most) as show:
+        finalists, setup = train_finalists(study, problem, show), setup_of(config)
     judge = replace(setup, loss=setup.loss.model_copy(update={"scaling": "per_speed"}))  # trials are compared by it
     report = StudyReport(
         config=config,

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from pipeline.tuning.space import translate
 from pipeline.tuning.storage import list_results
 from pipeline.tuning.study import Judged, StudyProblem, judge
 from pipeline.tuning.worker import ROUNDING
+from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     import optuna
@@ -85,8 +86,11 @@ def summarize(study: optuna.Study) -> list[TrialSummary]:
     ]
 
 
-def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist]:
-    """The default, then the best other trials, each trained with every seed of ``tuning.seeds``."""
+def train_finalists(
+    study: optuna.Study, problem: StudyProblem, show: Callable[[int, str], None] = lambda *_: None
+) -> list[Finalist]:
+    """The default, then the best other trials, each trained with every seed of ``tuning.seeds``; ``show`` is told how
+    many trainings are done, and of what."""
     import torch
 
     config = problem.config.tuning
@@ -100,7 +104,10 @@ def train_finalists(study: optuna.Study, problem: StudyProblem) -> list[Finalist
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
     with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        trained = list(run_all(_train_seed, each))
+        trained = []
+        for (_, place, _, seed), run in zip(each, run_all(_train_seed, each), strict=True):
+            trained.append(run)
+            show(len(trained), f"trainings of finalists, trial {place} with seed {seed}: loss {write_number(run.loss)}")
     batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
     return [
         Finalist(

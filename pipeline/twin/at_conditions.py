@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.data.coefficient_files import interpolate
 from pipeline.data.operating import name_state, write_condition
 from pipeline.data.vibration_files import write_range
 from pipeline.errors import ConfigError
@@ -68,6 +69,15 @@ def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float], 
     return sentences
 
 
+def table_between(table: BearingTable, speeds: np.ndarray) -> BearingTable:
+    """A table that has each speed once, with its conditions, at ``speeds`` (S,) rad/s within its own, by splines."""
+    if np.array_equal(table.speeds, speeds):
+        return table
+    values = np.apply_along_axis(lambda column: interpolate(table.speeds, column, speeds), 1, table.values)
+    operating = {name: np.full(len(speeds), column[0]) for name, column in table.operating.items()}
+    return BearingTable(table.nodes, speeds, values, operating)
+
+
 def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> BearingTable:
     """A table over the points of the data at ``wanted`` conditions, at each speed of the data once, ascending.
 
@@ -91,15 +101,20 @@ def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> Bear
 
 
 def evaluate_at(
-    identified: IdentifiedModel, updated: Measurement, wanted: Mapping[str, float], key: str
+    identified: IdentifiedModel,
+    updated: Measurement,
+    wanted: Mapping[str, float],
+    key: str,
+    speeds: np.ndarray | None = None,
 ) -> tuple[Measurement, BearingTable]:
-    """The measurement ``updated`` to the fit with the known coefficients at ``wanted`` conditions, at each speed once
-    (the readings stay), and all coefficients there.
+    """The measurement ``updated`` to the fit with the known coefficients at ``wanted`` conditions, at each speed once,
+    or at ``speeds`` (S,) rad/s within these (the readings stay), and all coefficients there.
 
     Raises ConfigError as :func:`table_at`, and where a coefficient leaves all bounds: functions that were fitted at
     a few states may do anything between and beyond these.
     """
-    machine = replace(updated, known=table_at(updated.known, wanted, key))
+    known = table_at(updated.known, wanted, key)
+    machine = replace(updated, known=known if speeds is None else table_between(known, speeds))
     table = identified.table(machine.updated_known)
     if not table.bounded.all():
         raise ConfigError(

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.config.machine import MachineConfig
 from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.data.dataset import Excitation
-from pipeline.data.vibration_files import find_speed
+from pipeline.data.vibration_files import place_speed
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
@@ -39,21 +39,32 @@ class Twin:
     operating: Mapping[str, float]  # the conditions of the prediction, SI; at each speed once
 
 
-def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | None) -> Twin:
-    """The twin at the conditions of the prediction; ``modelled`` are the true coefficients at the points of the data.
+def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[str, float], np.ndarray, int]:
+    """What the prediction asks of a measurement, before any fit: its conditions, the speeds (S,) in rad/s, which are
+    those of the data with its own among them, and the index of that.
 
     Raises ConfigError for conditions, nodes or a speed that the machine lacks, and for an unbalance that a run has.
     """
-    stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
-    operating = choose_operating(machine, stated.dataset.operating)
-    points, identified = evaluate_at(answer.model, stated, operating, OPERATING)
-    truth = _truth_at(machine, stated, modelled, operating)
-    require_nodes(stated.rotor, "machine.prediction", [node, *(unbalance.node for unbalance in unseen)])
-    at = find_speed(machine.prediction.speed_rpm, identified.speeds)
-    if (run := find_same_run(unseen, stated.dataset.excitations)) is not None:
+    dataset, unseen, asked = measurement.dataset, list_unseen(machine), machine.prediction
+    operating = choose_operating(machine, dataset.operating)
+    require_nodes(measurement.rotor, "machine.prediction", [asked.node, *(unbalance.node for unbalance in unseen)])
+    speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
+    if (run := find_same_run(unseen, dataset.excitations)) is not None:
         raise ConfigError(
             f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
         )
+    return operating, speeds, at
+
+
+def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | None) -> Twin:
+    """The twin at the conditions of the prediction; ``modelled`` are the true coefficients at the points of the data.
+
+    Raises ConfigError as :func:`plan_twin`, and for conditions that nothing says the coefficients at.
+    """
+    stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
+    operating, speeds, at = plan_twin(machine, stated)
+    points, identified = evaluate_at(answer.model, stated, operating, OPERATING, speeds)
+    truth = _truth_at(machine, stated, modelled, operating, speeds)
     systems: dict[str, BearingTable] = {}
     vibration: dict[str, PredictedVibration] = {}
     behaviour: dict[str, Behaviour] = {}
@@ -97,32 +108,34 @@ def choose_operating(machine: MachineConfig, measured: Mapping[str, np.ndarray])
 
 
 def _truth_at(
-    machine: MachineConfig, measurement: Measurement, modelled: BearingTable | None, operating: Mapping[str, float]
+    machine: MachineConfig,
+    measurement: Measurement,
+    modelled: BearingTable | None,
+    operating: Mapping[str, float],
+    speeds: np.ndarray,
 ) -> BearingTable | None:
-    """The modelled coefficients at the conditions of the prediction; None where nothing says them there."""
+    """The modelled coefficients at the conditions and ``speeds`` (S,) of the prediction; None where nothing says them
+    there."""
     dataset = measurement.dataset
-    if modelled is None or not dataset.operating:
-        return modelled
-    speeds = np.unique(dataset.speeds)
+    if modelled is None:
+        return None
     if np.array_equal(np.unique(dataset.speeds[mask_state(dataset.operating, operating)]), speeds):
         return table_at(modelled, operating, OPERATING)
-    if machine.recordings.recorded:
+    if machine.recordings.recorded and operating:
         return None
     beside = {name: np.full(len(speeds), value) for name, value in operating.items()}
     return load_modelled_bearings(machine.rotor, machine.bearings, speeds, beside)
 
 
-def superpose_unseen(
-    machine: MachineConfig, measurement: Measurement, operating: Mapping[str, float]
-) -> np.ndarray | None:
+def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twin) -> np.ndarray | None:
     """(S, 2) complex, m: x and y of the prediction's node from the runs alone, without a bearing model.
 
     None where no sum of the runs is the unbalance, no probes show the node, or not all runs were measured at the
-    conditions of the prediction, at every speed.
+    conditions of the prediction, at every speed of the ``twin``.
     """
     dataset, node = measurement.dataset, machine.prediction.node
-    mask = mask_state(dataset.operating, operating) & dataset.present.all(axis=1)
-    if not np.array_equal(dataset.speeds[mask], np.unique(dataset.speeds)):
+    mask = mask_state(dataset.operating, twin.operating) & dataset.present.all(axis=1)
+    if not np.array_equal(dataset.speeds[mask], twin.systems["identified"].speeds):
         return None
     dataset = dataset.at(mask)
     dof, resolution = dataset.resolution()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 from conftest import refused
 from machine_files import UNKNOWNS, given_by, machine_file
@@ -13,11 +16,13 @@ from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
 from pipeline.config.loader import CONF
 from pipeline.errors import ConfigError, DataError
+from pipeline.ingest.recognition import recognize_recordings
 from pipeline.stages import run_stage
 from pipeline.stages.new import fill_template
 
 pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
 
+EXAMPLE = CONF.parent / "examples" / "measured_demo"
 KINDS = [
     (bearings, data)
     for bearings in ("rolling", "fluid_film")
@@ -37,6 +42,8 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
     path = folder / "rig 2.yaml"
     text = fill_template(path, bearings, data)
     path.write_text(text)
+    for name in ("vibration.csv", "excitation.csv"):
+        (folder / name).symlink_to(EXAMPLE / name)
     assert max(map(len, text.splitlines())) <= 120
     assert text.startswith("# ")
     config = compose_config([given_by(path)])
@@ -45,7 +52,9 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
     assert (config.data.vibration is not None) == (data == "processed")
     assert config.loss.noise == ("stated" if data == "simulated" else "estimated")
     assert config.name == "rig_2"
-    assert "artifacts/rig_2" in text
+    if data == "processed":  # its speeds and runs are those of the files
+        assert config.machine.speeds.model_dump() == {"start_rpm": 1500, "stop_rpm": 5800, "step_rpm": 100}
+        assert [len(run.unbalances) for run in config.machine.runs] == [1, 1, 2]
 
 
 def test_new_says_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,9 +111,8 @@ def test_a_simulated_template_runs_through_every_stage(
 @pytest.mark.slow
 @pytest.mark.parametrize("data", ["recordings", "tables"])
 def test_a_template_for_recordings_asks_for_paths_and_positions_alone(data: str, folder: Path) -> None:
-    example = CONF.parent / "examples" / "measured_demo"
-    (folder / "recordings").symlink_to(example)
-    (folder / "rotor.toml").symlink_to(example / "rotor.toml")
+    (folder / "recordings").symlink_to(EXAMPLE)
+    (folder / "rotor.toml").symlink_to(EXAMPLE / "rotor.toml")
     path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.data={data}")
     filled_in = {
         "  file: null": "  file: rotor.toml",
@@ -130,3 +138,77 @@ def test_a_template_for_recordings_asks_for_paths_and_positions_alone(data: str,
     assert held_out["error_percent"] < 0.5
     for stage in ("compare", "robustness"):  # what needs a truth says so
         assert main([f"stage={stage}", *command]) == 2
+
+
+def write_log(folder: Path, kind: str) -> Path:
+    """The runs of the example as a logger exports them: cp1252, semicolons, decimal commas, a row of units; or a
+    workbook."""
+    tables = {name: pd.read_csv(EXAMPLE / f"{name}.csv") for name in ("as_found", "first_disc", "second_disc")}
+    if kind == "workbook":
+        with pd.ExcelWriter(folder / "all.xlsx") as book:
+            for name, table in tables.items():
+                table.to_excel(book, sheet_name=name, index=False)
+        return folder / "all.xlsx"
+    names = ["Speed", *(f"{probe}{part}" for probe in PROBES for part in (" Amp", " Phase"))]
+    for name, table in tables.items():
+        scaled = table * [1.0, *[25.4, 1.0] * len(PROBES)]
+        rows = scaled.to_csv(sep=";", decimal=",", header=False, index=False, lineterminator="\r\n")
+        text = "\r\n".join([";".join(names), "rpm;" + ";".join(["µm pp;° lag"] * len(PROBES)), rows])
+        (folder / f"{name}.csv").write_bytes(text.encode("cp1252"))
+    return folder / "first_disc.csv"
+
+
+PROBES = ("DE_left", "DE_right", "NDE_left", "NDE_right")
+
+
+@pytest.mark.parametrize("kind", ["csv", "workbook"])
+def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""
+    source = write_log(folder, kind)
+    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{source}'")
+    assert ("cp1252, ';' between fields, decimal commas" in capsys.readouterr().out) == (kind == "csv")
+    with refused("unbalances must be given, but is ???", kind=ConfigError):
+        compose_config([given_by(path)])
+    edits = {
+        "  file: null  # a rotor": f"  file: {EXAMPLE / 'rotor.toml'}  # a rotor",
+        '"first_disc.*"???"': "{node: 2, magnitude: 200 g mm, phase: 0 deg}",
+        '"second_disc.*"???"': "{node: 4, magnitude: 200 g mm, phase: 90 deg}",
+        "start_rpm: 700, stop_rpm: 5900, step_rpm: 100": "start_rpm: 1500, stop_rpm: 5800, step_rpm: 50",
+    }
+    text = path.read_text()
+    for old, new in edits.items():
+        filled = rf"\g<0>[{new}]" if "???" in old else new
+        text, count = re.subn(old.replace("???", r"\?\?\?"), filled, text)
+        assert count == 1, old
+    path.write_text(text.replace('"???"[', "["))
+    vibration = []
+    for machine in (path, EXAMPLE / "tables.yaml"):
+        out = folder / f"out {machine.stem}"
+        assert main(["stage=ingest", given_by(machine), f"output='{out}'", "tracking=none"]) == 0
+        vibration.append(pd.read_parquet(out / "vibration.parquet"))
+    assert np.allclose(vibration[0]["amplitude_m"], vibration[1]["amplitude_m"], rtol=1e-9)
+    assert np.allclose(vibration[0]["phase_deg"], vibration[1]["phase_deg"], atol=1e-6)
+
+
+def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
+    """A convention that no word tells has no value; arrays without phases are signals; columns must belong together."""
+    columns = {"n [1/min]": [600.0, 700.0], "A Amp": [1.0, 2.0], "A Phase": [3.0, 4.0], "note": [0, 0]}
+    pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
+    kind, guesses = recognize_recordings(tmp_path / "a.csv", tmp_path)
+    said = {key: guesses[key] for key in ("length", "amplitude", "phase", "phase_unit", "speed", "speeds")}
+    unknown = dict.fromkeys(("length", "amplitude", "phase", "phase_unit"), "???")
+    assert (kind, said) == (
+        "tables",
+        unknown | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}"},
+    )
+    assert '"A": {node: 1, angle: 45 deg, columns: {amplitude: "A Amp", phase: "A Phase"}}' in guesses["probes"]
+    assert "note" not in guesses["probes"]
+    np.savez(tmp_path / "b.npz", DE_x=np.zeros(3), tacho=np.zeros(3), time=np.arange(3.0))
+    kind, guesses = recognize_recordings(tmp_path / "b.npz", tmp_path)
+    assert (kind, guesses["baseline"]) == ("recordings", '"b"')
+    assert 'time: "time"' in guesses["sample_rate"]
+    assert 'channel: "tacho"' in guesses["tacho"]
+    assert guesses["probes"].count("channel") == guesses["probes"].count('"DE_x", scale') == 1
+    pd.DataFrame({"speed": [1.0], "A Phase": [2.0]}).to_csv(tmp_path / "c.csv", index=False)
+    with refused("must have an amplitude and a phase of each probe", "speed, A Phase"):
+        recognize_recordings(tmp_path / "c.csv", tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,16 @@ import pytest
 from conftest import MachineFactory, refused
 from measured_files import CONVENTIONS, long, probes_config, table_config, vectors_of
 from pydantic import ValidationError
-from reading import BARE, ONE, RPM, RUNS, _mapping, parsed, read, waves, wide_runs, with_ingest
+from reading import BARE, DISC, ONE, RPM, RUNS, _mapping, parsed, read, waves, wide_runs, with_ingest
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
-from pipeline.errors import ConfigError
-from pipeline.ingest.plausibility import note_size, note_whirl
+from pipeline.errors import ConfigError, DataError
+from pipeline.ingest.plausibility import note_size, note_whirl, require_clearance
 from pipeline.reporting import ingested
+from pipeline.rotor.bearings import CylindricalBearingConfig
 from pipeline.stages import run_stage
 
 MISSING = ["length", "amplitude", "phase", "phase_unit", "speed"]
@@ -47,6 +49,10 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
     "degrees without a unit": (
         table_config([ONE], probes={"A": {"node": 0, "angle": 45}}),
         "must carry its unit (such as 45 deg)",
+    ),
+    "a weight without a unit": (
+        table_config([ONE | {"unbalances": [DISC | {"magnitude": 200}]}]),
+        "must carry its unit (such as 100 g mm), since a number alone is in kg m, but got 200",
     ),
     "a run without excitation": (
         table_config([ONE, BARE]),
@@ -247,6 +253,11 @@ def test_units_that_the_model_contradicts_are_warned_of(
     made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=245", TWO)
     assert note_size(made.dataset, made.rotor, 1e7, 1e3) == []
     assert note_whirl(made.dataset) == []
+    largest, sizes = float(np.abs(made.dataset.displacement).max()), {"journal_diameter": 1, "length": 1}
+    for clearance, factor in ((largest, ""), (largest / 1000, "times as much: check the unit")):
+        film = CylindricalBearingConfig(kind="cylindrical", radial_clearance=clearance, oil_viscosity=0.1, **sizes)
+        with pytest.raises(DataError, match=factor) if factor else nullcontext():
+            require_clearance(made.dataset, film, [0, 1, 2])
 
 
 @pytest.mark.usefixtures("no_figures")

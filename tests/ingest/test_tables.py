@@ -232,9 +232,23 @@ def test_a_truncated_excel_file_is_refused(tmp_path: Path) -> None:
             read(table_config(runs))
 
 
-def test_a_speed_range_that_a_run_does_not_cover(tmp_path: Path) -> None:
-    section = table_config(wide_runs(tmp_path), speeds={"start_rpm": 400, "stop_rpm": 3000, "step_rpm": 100})
-    with refused("the speed range of run 'one' is 11 speeds from 500 to 3000 rpm", "nothing is extrapolated"):
+@pytest.mark.parametrize(
+    ("unit", "span", "said"),
+    [
+        ("rpm", (400, 3000), "is 11 speeds from 500 to 3000 rpm"),
+        (
+            "Hz",
+            (600, 3000),
+            "speeds that are 60 times too large are rpm called Hz (machine.recordings.conventions.speed)",
+        ),
+        ("rad/s", (600, 3000), "speeds that are 9.55 times too large are rpm called rad/s"),
+        ("rpm", (30000, 180000), "speeds that are 60 times too small are Hz called rpm"),
+    ],
+)
+def test_a_speed_range_that_a_run_does_not_cover(unit: str, span: tuple[int, int], said: str, tmp_path: Path) -> None:
+    section = table_config(wide_runs(tmp_path), speeds={"start_rpm": span[0], "stop_rpm": span[1], "step_rpm": 100})
+    section["conventions"] |= {"speed": unit}
+    with refused("the speed range of run 'one'", said, "nothing is extrapolated"):
         read(section)
 
 

@@ -113,7 +113,7 @@ def test_data_that_determine_nothing_stop_it(config: Config, monkeypatch: pytest
     monkeypatch.setattr(Analysis, "run", stages.run)
     with pytest.raises(IdentifiabilityError, match="add a run"):
         identify.run(Analysis(config))
-    assert stages.seen == ["generate", "diagnose", "train"]
+    assert stages.seen == ["generate", "diagnose", "train", "report"]  # of what was measured
 
 
 def test_data_of_other_programs_are_not_generated(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:

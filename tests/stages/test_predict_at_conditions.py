@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from pathlib import Path
 
@@ -88,3 +89,32 @@ def test_conditions_that_are_missing_or_unknown_are_refused(run: Run, folder: Pa
         run("predict", [*MACHINE, "+machine.prediction.operating.load=500 N"], folder)
     with pytest.raises(ConfigError, match="oil_temperature must convert to kelvin"):
         run("predict", [*MACHINE, "machine.prediction.operating.oil_temperature=70 mm"], folder)
+
+
+def test_a_speed_between_those_of_the_data_is_predicted(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: data of the same machine that have this speed. What can't be predicted is said before the fit, and
+    summary and report come without it."""
+    machine = ["experiment=ball_bearing", "machine.speeds={start_rpm: 900, stop_rpm: 3000, step_rpm: 300}"]
+    run("generate", machine, tmp_path)
+    run("diagnose", [*machine, "machine.prediction.speed_rpm=9000"], tmp_path)
+    reason = "must lie within the data's speeds, 900 to 3000 rpm, but got 9000"
+    assert (
+        f"no prediction can follow a fit, and summary and report will lack it: machine.prediction.speed_rpm {reason}"
+        in (capsys.readouterr().err)
+    )
+    run("predict", [*machine, "machine.prediction.speed_rpm=1480"], tmp_path)
+    between = pd.read_csv(tmp_path / "prediction.csv").set_index("speed_rpm")
+    finer = [machine[0], "machine.speeds={start_rpm: 1480, stop_rpm: 2000, step_rpm: 20}"]
+    run("predict", [*finer, "machine.prediction.speed_rpm=1480"], tmp_path / "finer")
+    there = pd.read_csv(tmp_path / "finer" / "prediction.csv").set_index("speed_rpm")
+    assert list(between.index) == [900, 1200, 1480, *range(1500, 3001, 300)]
+    for system in ("modelled", "identified"):
+        names = [f"{d}_{system}_amplitude_m" for d in "xy"]
+        assert np.allclose(between.loc[1480, names], there.loc[1480, names], rtol=1e-7)
+    for stage, file in (("summary", "summary.txt"), ("report", "report.html")):
+        run(stage, [*machine, "machine.prediction.speed_rpm=9000"], tmp_path)
+        said = html.unescape(" ".join((tmp_path / file).read_text().split()))
+        assert reason in said
+        assert "Stiffness and damping" in said or "node 0 kxx" in said

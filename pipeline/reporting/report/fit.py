@@ -72,7 +72,7 @@ def describe_coefficients(content: ReportContent, fit: FitContent) -> list[Block
 
 def _list_states(fit: FitContent) -> list[tuple[str, Coefficients]]:
     """The measured states, and that of the prediction where it is none of them; one without conditions."""
-    measured, asked = list_states(fit.coefficients), name_state(fit.twin.operating)
+    measured, asked = list_states(fit.coefficients), name_state(fit.operating)
     if any(
         label == asked
         for label, _ in split_states(fit.coefficients.identified.speeds, fit.coefficients.identified.operating)

@@ -40,7 +40,7 @@ def list_sections(content: ReportContent) -> list[Section]:
         ("diagnosis", "Diagnosis", describe_diagnosis(content)),
         ("fit", "Fit and residuals", describe_fit(content, fit) if fit else ()),
         ("held-out", "Held-out runs and speeds", describe_held_out(content, fit) if fit else ()),
-        ("modes", "Critical speeds and stability", describe_modes(content, fit) if fit else ()),
+        ("modes", "Critical speeds and stability", describe_modes(content, fit, fit.twin) if fit and fit.twin else ()),
         ("response", "Unbalance response", describe_response(content, fit) if fit else ()),
         ("balancing", "Residual unbalance and correction weights", [describe_balancing(content, fit)] if fit else ()),
         ("conventions", "Conventions", [describe_conventions(content)]),
@@ -55,9 +55,8 @@ def list_sections(content: ReportContent) -> list[Section]:
 
 def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     """What was asked, the answer, what may be relied on and what to do next; and both kinds of coefficients, drawn."""
-    config, shown, at, values = content.config, fit.at_conditions, fit.twin.at, []
-    machine = content.files["verdicts"]["machine"]
-    modes: Mapping[str, Any] = summarize_modes(fit.behaviour, shown.rpm[at])
+    config, shown, machine, values = content.config, fit.at_conditions, content.machine_verdict, []
+    at = int(np.abs(shown.rpm - config.machine.prediction.speed_rpm).argmin())
     for node, names, numbers, deviations in zip(
         shown.identified.nodes, shown.unknowns, shown.identified.values[:, at], shown.deviation[:, at], strict=True
     ):
@@ -66,13 +65,16 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
             number = write_number(scale * float(numbers[c]), scale * float(deviations[c]))
             values.append(f"{f'at node {node} ' * (name == names[0])}{name} {number} {unit}")
     known = ", with one standard deviation" if shown.stated else ""
-    answer = (
-        f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}. Critical speeds: "
-        f"{list_critical_speeds(fit, modes['critical_speeds'])}. Stability: {describe_stability(modes['stability'])}."
-    )
+    answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}."
+    if fit.twin:
+        modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], shown.rpm[at])
+        critical, stable = list_critical_speeds(fit, modes["critical_speeds"]), describe_stability(modes["stability"])
+        answer += f" Critical speeds: {critical}. Stability: {stable}."
     felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
     said = f"The machine as a whole: {machine['verdict']}. {machine['reason']}{felt}"
-    steps = dict.fromkeys(entry["next"] for entry in (machine, *content.files["verdicts"]["verdicts"]) if entry["next"])
+    steps = dict.fromkeys(
+        entry["next"] for entry in (machine, *content.files.get("verdicts", {}).get("verdicts", ())) if entry["next"]
+    )
     rows: list[list[Cell]] = [
         ["What was asked?", f"{config.description}. Data: {describe_data(content, fit)}."],
         ["What is the answer?", answer],
@@ -87,9 +89,10 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
     judged = content.files.get("verdicts")
+    gaps = [Mark("warning", f"This report has no {name}: {reason}") for name, reason in content.missing.items()]
     if not judged:
-        return ["No verdicts were written: stage=verdict makes them."]
-    return [_list_verdicts("Bearings", judged["bearings"]), _list_verdicts("Coefficients", judged["verdicts"])]
+        return [*gaps, "No verdicts were written: stage=verdict makes them."]
+    return [*gaps, _list_verdicts("Bearings", judged["bearings"]), _list_verdicts("Coefficients", judged["verdicts"])]
 
 
 def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -39,17 +39,18 @@ from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.twin import CRITICAL, follow_lines, list_critical, measure_sizes, summarize_modes
 from pipeline.twin.mode_deviations import Behaviour
+from pipeline.twin.twin import Twin
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 
-def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e-9) -> list[Block]:
+def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding: float = 1e-9) -> list[Block]:
     """Critical speeds, Campbell diagram and stability map.
 
     The growth rate of a machine at rest in a mode is known to ``rounding`` (1/s).
     """
-    running, rpm = content.config.machine.prediction.speed_rpm, to_rpm(fit.behaviour.modes.speeds)
-    identified: Mapping[str, Any] = summarize_modes(fit.behaviour, running)
+    running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
+    rpm, identified = to_rpm(behaviour.modes.speeds), cast("Mapping[str, Any]", summarize_modes(behaviour, running))
     stability = identified["stability"]
     verdict = stability["verdict"]
     told = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}
@@ -74,7 +75,11 @@ def describe_modes(content: ReportContent, fit: FitContent, rounding: float = 1e
         Mark("warning" if verdict == "unstable" else "", text),
         *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
         _list_critical_speeds(rpm, identified["critical_speeds"]),
-        *(() if len(rpm) < 2 else (_draw_campbell(fit, identified["critical_speeds"]), _draw_stability(fit.behaviour))),
+        *(
+            ()
+            if len(rpm) < 2
+            else (_draw_campbell(behaviour, identified["critical_speeds"]), _draw_stability(behaviour))
+        ),
     ]
 
 
@@ -92,8 +97,8 @@ def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table
     )
 
 
-def _draw_campbell(fit: FitContent, critical: Mapping[str, Any]) -> Figure:
-    rpm, (frequency, deviation, *_) = to_rpm(fit.behaviour.modes.speeds), follow_lines(fit.behaviour)
+def _draw_campbell(behaviour: Behaviour, critical: Mapping[str, Any]) -> Figure:
+    rpm, (frequency, deviation, *_) = to_rpm(behaviour.modes.speeds), follow_lines(behaviour)
     shown = np.flatnonzero(np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1] * RAD_S_PER_RPM)
     curves = [
         Curve(
@@ -138,7 +143,8 @@ def _draw_stability(behaviour: Behaviour, highest: float = 1.5, points: int = 60
 
 def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
     """Verification as in API 617, and the prediction of an unbalance that no run has."""
-    return [*list_reservations(content), *_verify(content, fit), _predict(content, fit)]
+    predicted = [_predict(content, fit, fit.twin)] if fit.twin else []
+    return [*list_reservations(content), *_verify(content, fit), *predicted]
 
 
 def find_peak(
@@ -207,9 +213,9 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
     return [text, Table("Unbalanced rotor response verification", [*header, "verdict"], rows)]
 
 
-def _predict(content: ReportContent, fit: FitContent) -> Figure:
+def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
     """The twin's vibration under the unbalance that no run has, with its band."""
-    predicted, asked = fit.twin.vibration["identified"], content.config.machine.prediction
+    predicted, asked = twin.vibration["identified"], content.config.machine.prediction
     curves, (sizes, deviations) = [], measure_sizes(predicted, 1.0)
     for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
         band = NOMINAL_95 * deviations[:, d]
