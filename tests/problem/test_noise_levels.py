@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from balancing import circular
 
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, shrinkage_share, spread_blocks
 
 SPEEDS, CHANNELS = 2, 2
-
-
-def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    """Circular complex Gaussian numbers of unit variance."""
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 def square(rng: np.random.Generator, size: int) -> np.ndarray:
