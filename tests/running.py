@@ -6,7 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FunctionType
@@ -54,6 +55,14 @@ def few(experiment: str, *overrides: str) -> Config:
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below ``folder``."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@contextmanager
+def left_alone(folder: Path) -> Iterator[None]:
+    """What the block does leaves every file below ``folder`` as it was."""
+    before = contents(folder)
+    yield
+    assert contents(folder) == before
 
 
 def names_in(folder: Path) -> set[str]:

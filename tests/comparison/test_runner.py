@@ -310,10 +310,13 @@ def test_a_win_is_one_beyond_the_spread_of_the_paired_differences() -> None:
     made = Comparison((*rows, row("tikhonov", 0.01, 0.5)), case, ("kxx",))
     assert made.level_with_best(case) == {"response", "smoothed"}
     assert made.differs("spline", "response", case)
-    assert made.cell("response", case) == "**2.5 ± 1**"
-    assert made.cell("spline", case) == "2.7 ± 1"
-    assert made.cell("kriging", case) == "5 ± 0 (3 of 4 answer)"
-    assert made.cell("tikhonov", case) == "0.5"  # one data set tells nothing
+    cells = {
+        "response": "**2.5 ± 1**",
+        "spline": "2.7 ± 1",
+        "kriging": "5 ± 0 (3 of 4 answer)",
+        "tikhonov": "0.5",  # one data set tells nothing
+    }
+    assert {method: made.cell(method, case) for method in cells} == cells
     assert made.label("tikhonov", [case]).endswith("(1 data set)")
 
 

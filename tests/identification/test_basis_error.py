@@ -76,9 +76,7 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
         hidden=(4,),
         ranges=((10.0, 500.0),),
     )
-    assert count_local(model, 91) == 30
-    assert count_local(model, 30) == 15
-    assert count_local(model, 7) == 0
+    assert {count: count_local(model, count) for count in (91, 30, 7)} == {91: 30, 30: 15, 7: 0}
     assert count_local(replace(model, hidden=None), 91) == 0
     functions = evaluate_local(model, {"speed": np.array([10.0, 200.0, 500.0])}, 10)
     np.testing.assert_allclose(functions.sum(axis=1), 1.0)  # they add up to a constant
