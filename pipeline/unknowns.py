@@ -122,6 +122,10 @@ class UnknownSet:
         leaders = [COEFFICIENTS.index(name) for name in self.names]
         return values[: self.n_members][..., leaders] * self.present[:, None]
 
+    def to_active(self, values: np.ndarray) -> np.ndarray:
+        """(S, A) the active unknowns of all (M, S, U)."""
+        return np.stack([values[m, :, u] for m, u in self.active], axis=-1)
+
     def from_active(self, columns: np.ndarray) -> np.ndarray:
         """(M, S, U) from the active unknowns (S, A); zero where a member lacks an unknown."""
         result = np.zeros((self.n_members, len(columns), len(self.names)))

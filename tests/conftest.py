@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from pipeline.config.schema import Config
     from pipeline.errors import PipelineError
+    from pipeline.identification.training import FitSetup
     from pipeline.rotor.bearing_table import BearingTable
     from pipeline.tuning.study import StudyProblem
     from pipeline.unknowns import UnknownSet
@@ -205,6 +206,17 @@ class Made:
 def made(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """The experiments run so far, each once."""
     return Made(run, tmp_path_factory.mktemp("made"))
+
+
+@pytest.fixture(scope="session")
+def setup() -> FitSetup:
+    """How the small rig is fitted."""
+    from running import composed
+    from small_rotor import FITTED
+
+    from pipeline.identification.training import setup_of
+
+    return setup_of(composed(*FITTED))
 
 
 @pytest.fixture(scope="session")
@@ -422,6 +434,11 @@ def refused(*fragments: str, kind: type[PipelineError] | None = None) -> Iterato
     with pytest.raises(kind or DataError) as caught:
         yield caught
     sentence = str(caught.value)
-    assert [fragment for fragment in fragments if fragment not in sentence] == [], sentence
+    assert_says(sentence, *fragments)
     assert "Traceback" not in sentence
     assert len(sentence) < 900
+
+
+def assert_says(text: str, *fragments: str) -> None:
+    """``text`` has all ``fragments``; those that it lacks are named."""
+    assert [fragment for fragment in fragments if fragment not in text] == [], text

@@ -6,7 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FunctionType
@@ -55,6 +56,14 @@ def contents(folder: Path) -> dict[str, bytes]:
     """Every file below ``folder``, but the log, which has what failed, too."""
     every = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "log.txt"]
     return {str(p.relative_to(folder)): p.read_bytes() for p in every}
+
+
+@contextmanager
+def left_alone(folder: Path) -> Iterator[None]:
+    """What the block does leaves every file below ``folder`` as it was."""
+    before = contents(folder)
+    yield
+    assert contents(folder) == before
 
 
 def names_in(folder: Path) -> set[str]:

@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.config.rotor import RotorConfig
+from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.training import setup_of
+from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor
@@ -52,3 +56,12 @@ def small_machine(
     exact = replace(data, displacement=made.response.predict(bearings))
     deviation = np.full(exact.displacement.shape, noise)
     return replace(made, dataset=add_noise(exact, deviation, np.random.default_rng(5))), bearings
+
+
+def fitted_beside_truth(config: Config, seed: int) -> tuple[OutputErrorFit, np.ndarray]:
+    """The fit of a simulated machine, and the true unknowns (S, A)."""
+    rotor, truth, complete = model_machine(config, seed)
+    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), truth)
+    leading = measurement.unknowns.leading(truth.values)
+    fit = fit_output_error(measurement, setup_of(config))
+    return fit, np.stack([leading[m, :, u] for m, u in measurement.unknowns.active], axis=-1)

@@ -25,15 +25,12 @@ class LeastSquares(Protocol):
 
     def rows(self, parameters: torch.Tensor, /) -> torch.Tensor:
         """(G, M, rows)."""
-        ...
 
     def normal(self, parameters: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient J'r (G, M, Q) and J'J (G, M, Q, Q)."""
-        ...
 
     def loss(self, parameters: torch.Tensor, /) -> torch.Tensor:
         """(G, M) a root mean square that falls with the squared rows."""
-        ...
 
     def rounding(self) -> torch.Tensor:
         """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""

@@ -71,8 +71,9 @@ class Sense:
     def _turn(self, data: VibrationDataset) -> VibrationDataset:
         taken = data.subtracted
         if self.lag:
-            data = replace(data, displacement=data.displacement.conj())
-            data = replace(data, subtracted=None if taken is None else taken.conj())
+            data = replace(
+                data, displacement=data.displacement.conj(), subtracted=None if taken is None else taken.conj()
+            )
         if self.against:
             data = replace(
                 data, excitations=tuple(replace(excitation, phase=-excitation.phase) for excitation in data.excitations)

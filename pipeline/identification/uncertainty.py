@@ -190,29 +190,29 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
     """Write ``uncertainty.safetensors``, empty for a loss that states no deviations. Raises StorageError."""
     from safetensors.numpy import save
 
-    parts = {} if uncertainty is None else _parts(uncertainty)
+    parts = (
+        {}
+        if uncertainty is None
+        else {
+            "weights": uncertainty.weights,
+            "active": uncertainty.active,
+            "covariance": uncertainty.covariance,
+            "precision": uncertainty.precision,
+            "prior_rows": uncertainty.functions[0],
+            "prior_aims": uncertainty.functions[1],
+            "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
+            "planes": uncertainty.planes,
+            "as_found": np.stack([uncertainty.as_found.real, uncertainty.as_found.imag]),
+            "plane_scale": np.array([uncertainty.plane_scale]),
+            "parameters": uncertainty.parameters,
+            "n_local": np.array([uncertainty.n_local]),
+            "tolerance_kinds": uncertainty.unfitted.kinds,
+            "tolerance_moves": uncertainty.unfitted.moves,
+            "tolerances": uncertainty.unfitted.second,
+        }
+    )
     content = save({name: np.ascontiguousarray(array) for name, array in parts.items()})
     return write_beside(folder / UNCERTAINTY, lambda beside: beside.write_bytes(content))
-
-
-def _parts(uncertainty: Uncertainty) -> dict[str, np.ndarray]:
-    return {
-        "weights": uncertainty.weights,
-        "active": uncertainty.active,
-        "covariance": uncertainty.covariance,
-        "precision": uncertainty.precision,
-        "prior_rows": uncertainty.functions[0],
-        "prior_aims": uncertainty.functions[1],
-        "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
-        "planes": uncertainty.planes,
-        "as_found": np.stack([uncertainty.as_found.real, uncertainty.as_found.imag]),
-        "plane_scale": np.array([uncertainty.plane_scale]),
-        "parameters": uncertainty.parameters,
-        "n_local": np.array([uncertainty.n_local]),
-        "tolerance_kinds": uncertainty.unfitted.kinds,
-        "tolerance_moves": uncertainty.unfitted.moves,
-        "tolerances": uncertainty.unfitted.second,
-    }
 
 
 def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty | None:

@@ -40,8 +40,7 @@ def _propagate_noise(data: Measurement, values: np.ndarray, difference: float = 
 
     def updated(state: np.ndarray, readings: np.ndarray) -> np.ndarray:
         """(S, A) after one more update."""
-        estimate = problem.update(state, readings)
-        return np.stack([estimate[m, :, u] for m, u in active], axis=1)
+        return data.unknowns.to_active(problem.update(state, readings))
 
     base, by_value = updated(values, measured), []
     for m, u in active:

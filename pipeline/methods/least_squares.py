@@ -185,15 +185,13 @@ def solve_smoothed(data: Measurement, options: MethodOptions, fewest: int = 4) -
     estimate, unknowns = solve_expanded(data, options), data.unknowns
     values = unknowns.leading(estimate.coefficients.values)
     spread = unknowns.leading(estimate.deviation)
-    smooth, deviation = np.zeros_like(values), np.zeros_like(values)
+    smooth, deviation = values.copy(), spread.copy()
     for m, u in unknowns.active:
         answer, deviations = values[m, :, u], spread[m, :, u]
         if options.constant:
             smooth[m, :, u], deviation[m, :, u] = _average(answer, deviations)
         elif len(answer) >= fewest:
             smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, deviations)
-        else:
-            smooth[m, :, u], deviation[m, :, u] = answer, deviations
     return make_estimate(data, smooth, deviation)
 
 

@@ -200,9 +200,8 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     keep = np.flatnonzero(~measurement.synchronous())
     if not len(keep):
         raise Refusal("residual_unbalance", "every run turns with the rotor")
-    forced = measurement.select(None, keep)
-    vars(forced).pop("response", None)  # it has planes
-    return replace(forced, unknowns=replace(forced.unknowns, planes=()))
+    # The response is solved anew: that of the measurement has planes.
+    return replace(measurement.select(None, keep), unknowns=replace(measurement.unknowns, planes=()))
 
 
 def describe_unbalance(planes: tuple[int, ...], unbalance: np.ndarray) -> str:

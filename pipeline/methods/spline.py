@@ -52,7 +52,7 @@ class _Fit:
     @property
     def outputs(self) -> np.ndarray:
         """(S, A) what the spline is of each unknown."""
-        return _select_active(self.problem, self.problem.outputs(self.weights)[0].numpy())
+        return self.problem.measurement.unknowns.to_active(self.problem.outputs(self.weights)[0].numpy())
 
     @property
     def pairs(self) -> np.ndarray:
@@ -126,12 +126,7 @@ def _list_starts(
         sizes = np.where(middles[0] != 0, np.abs(middles[0]), 1.0)
     problem, n_speeds = pose(task, sizes), len(task.dataset.speeds)
     each = (np.repeat(outputs_of(middle, sizes, positive)[:, None], n_speeds, axis=1) for middle in middles)
-    return problem, [_select_active(problem, outputs) for outputs in each]
-
-
-def _select_active(problem: OutputError, every: np.ndarray) -> np.ndarray:
-    """(S, A) of the unknowns (M, S, U) that members have."""
-    return np.stack([every[m, :, u] for m, u in problem.active], axis=1)
+    return problem, [task.unknowns.to_active(outputs) for outputs in each]
 
 
 def pose(task: Measurement, sizes: np.ndarray) -> OutputError:

@@ -115,7 +115,7 @@ def sensor_rows(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
     unknowns = measurement.unknowns
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
     values = np.repeat((measurement.guess.sizes(unknowns) * shape)[:, None], len(measurement.dataset.speeds), axis=1)
-    size = np.stack([values[m, :, u] for m, u in unknowns.active], axis=-1)
+    size = unknowns.to_active(values)
     slopes = ReadingSlopes(measurement, measurement.table(values)).by_unknown
     return stack_rows(np.sqrt(2.0) * slopes * size[:, None, None]), values
 
@@ -228,8 +228,7 @@ def budget_percent(measurement: Measurement, bearings: BearingTable) -> dict[str
     shifts = systematic_shifts(measurement, bearings)
     if shifts is None:
         return None
-    values = measurement.unknowns.leading(bearings.values)  # (M, S, U)
-    sizes = np.stack([values[m, :, u] for m, u in measurement.unknowns.active], axis=-1)  # (S, A)
+    sizes = measurement.unknowns.to_active(measurement.unknowns.leading(bearings.values))  # (S, A)
     kinds = np.array([parameter.kind for parameter in measurement.parameters])
     return {
         kind: 100 * np.median(np.sqrt((shifts[..., kinds == kind] ** 2).sum(axis=-1)) / np.abs(sizes), axis=0)

@@ -75,10 +75,9 @@ def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts
 
 def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
     """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
-    law = 0j
-    if excitation.kind == "unbalance":
-        law = sum((unit * shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
-    common = shifts.get(("weight_angle", "", 0), 0.0) if excitation.kind == "unbalance" else 0.0
+    common_shifts: _Shifts = shifts if excitation.kind == "unbalance" else {}
+    law = sum((unit * common_shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
+    common = common_shifts.get(("weight_angle", "", 0), 0.0)
     turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
     size = excitation.magnitude * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))
     return size, complex(np.exp(1j * turn)), law

@@ -87,27 +87,22 @@ def spread_blocks(record: np.ndarray) -> np.ndarray:
 
 
 def estimate_noise_levels(
-    conditions: Conditions, design: np.ndarray, prior: NoiseLevels | None = None, robust: bool = True
+    conditions: Conditions, design: np.ndarray, robust: bool = True
 ) -> tuple[NoiseLevels, np.ndarray]:
     """The levels, and the weight of each condition (C,), about 1 and small for one that does not belong to the others.
 
     ``design`` (C, Q) complex has what each channel's vector is a linear function of (a column of ones, the weights).
     With fewer than three degrees of freedom for each entry of a vector, the correlations of the condition level are
-    shrunk by the share :func:`shrinkage_share`. Where none is left, the condition level is that of ``prior``. Raises
-    IdentifiabilityError where there is no prior either.
+    shrunk by the share :func:`shrinkage_share`. Raises IdentifiabilityError where none is left.
     """
     vectors = conditions.vectors
     left = len(design) - np.linalg.matrix_rank(design)
     if left <= 0:
-        if prior is None:
-            raise IdentifiabilityError(
-                f"the drift between conditions must be estimated from more conditions than the {design.shape[1]} "
-                f"columns of their model, but there are {len(design)}: measure more conditions, or give a prior level"
-            )
-        return NoiseLevels(conditions.record_covariance, prior.condition, prior.freedom), np.ones(len(design))
-    weights = np.ones(len(design))
-    if robust:
-        weights = robust_weights(vectors, design)
+        raise IdentifiabilityError(
+            f"the drift between conditions must be estimated from more conditions than the {design.shape[1]} "
+            f"columns of their model, but there are {len(design)}: measure more conditions"
+        )
+    weights = robust_weights(vectors, design) if robust else np.ones(len(design))
     residual = vectors - design @ solve_weighted(vectors, design, weights)
     return levels_of(residual, weights, float(left), conditions.record_covariance, conditions.counts), weights
 

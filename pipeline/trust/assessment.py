@@ -12,7 +12,7 @@ from pipeline.data.excitation_files import list_candidates
 from pipeline.data.sensors import name_channel
 from pipeline.evaluation.errors import find_contradiction
 from pipeline.identification.fit import loss_of
-from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
+from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
 from pipeline.problem.measurement import Measurement
@@ -55,7 +55,7 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
     gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
     mistakes: list[Found] = []
     wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
-    if wanders and evidence.misfit_of_stated_noise > WORTH_TRYING:
+    if wanders and evidence.misfit.of_stated > WORTH_TRYING:
         values = updated.unknowns.leading(evidence.answer.values)
         probes = () if _is_given(config) else _list_probes(config)
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
@@ -74,8 +74,7 @@ def _list_probes(config: Config) -> tuple[Probe, ...]:
 def _mark_fitted(config: Config, measurement: Measurement) -> np.ndarray:
     """(S, P, R) mask of the readings that the fit had."""
     data, training = measurement.dataset, config.training
-    keep = ~held_out_speeds(len(data.speeds), training.holdout_every) & ~held_out_range(data.speeds, training)
-    keep &= ~held_out_conditions(data.operating, training, len(data.speeds))
+    keep = ~held_out_points(data.speeds, data.operating, training)
     fitted = np.broadcast_to(keep[:, None, None], data.displacement.shape).copy()
     if loss_of(config.loss).weighs_noise:
         fitted[..., held_out_runs(measurement, training)] = False

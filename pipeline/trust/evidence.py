@@ -58,11 +58,6 @@ class Evidence:
         """(B, S, 8) half the 95 % interval."""
         return np.asarray(NOMINAL_95 * self.deviations.values)
 
-    @property
-    def misfit_of_stated_noise(self) -> float:
-        """Mean square of what the fit leaves over, over the stated noise."""
-        return self.misfit.of_stated
-
 
 def leave_out_unbounded(
     measurement: Measurement, identified: IdentifiedModel, fitted: np.ndarray
@@ -164,11 +159,7 @@ def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str
 
     Weights are those that the fit found. No bearing model is in it: 1 is a linear machine with right weights.
     """
-    from pipeline.problem.force_parameters import update_excitations
-
-    data = measurement.dataset
-    if measurement.parameters:
-        data = update_excitations(data, measurement.parameters, measurement.parameter_values)
+    data = measurement.as_stated().dataset
     noise = measurement.deviation_of(data.displacement, measurement.baseline, factor)
     free = bool(measurement.unknowns.planes) or any(parameter.kind == "bow" for parameter in measurement.parameters)
     whole = data.present.all(axis=1)  # points that every run was measured at

@@ -43,7 +43,7 @@ class LinearisedFit:
     @cached_property
     def right(self) -> np.ndarray:
         """b, (Z,)."""
-        return _right(self.seen, self.residual)
+        return cross(self.seen, self.residual[..., None])[:, 0]
 
     def solve(self, right: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
         """``N^-1 right`` of all fitted readings, or of those ``without`` (S, P, R) mask."""
@@ -82,7 +82,7 @@ class LinearisedFit:
     def _without(self, mask: np.ndarray) -> np.ndarray:
         """(Z,) the weights' step of a fit without the readings of ``mask``."""
         left_out = mask[..., None] * self.seen
-        return self.solve(self.right - _right(left_out, self.residual), mask)
+        return self.solve(self.right - cross(left_out, self.residual[..., None])[:, 0], mask)
 
     def _information(self, without: np.ndarray | None) -> np.ndarray:
         if without is None:
@@ -94,10 +94,6 @@ class LinearisedFit:
 def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
     """``2 Re A^H B`` of (S, P, R, ..)."""
     return np.asarray(2.0 * np.einsum("sprz,sprt->zt", rows.conj(), others, optimize=True).real)
-
-
-def _right(rows: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    return np.asarray(2.0 * np.einsum("sprz,spr->z", rows.conj(), residual, optimize=True).real)
 
 
 def linearise(

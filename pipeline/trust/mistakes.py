@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.data.dataset import name_direction
 from pipeline.data.sensors import project
 from pipeline.problem.measurement import Measurement
+from pipeline.trust.linearised import name_channels
 from pipeline.trust.mistake import Mistake
 from pipeline.trust.mistakes_of_probes import of_all_readings, of_probes
 from pipeline.trust.mistakes_of_runs import of_rest, of_runs, of_weights
@@ -79,7 +79,7 @@ def find_mistakes(
         as_good: mistakes that leave so many times as much as the best one are named beside it, ``most_named`` of them.
     """
     as_probes = _as_probes(measurement, probes)
-    names = [probe.name for probe in probes] or [_call(*channel) for channel in as_probes.dataset.channels]
+    names = [probe.name for probe in probes] or name_channels(as_probes)
     if constant:
         first, last = replace(first, terms=1), replace(last, terms=1)
     base = _Trial(as_probes, values, last).fit_as_stated()
@@ -153,10 +153,6 @@ def _describe_extra(fit: QuickFit) -> str:
         return ""
     gain = 1 + complex(*fit.free)
     return f" ({abs(gain):.3g} times as large, turned by {np.degrees(np.angle(gain)):.0f} deg)"
-
-
-def _call(node: int, angle: float) -> str:
-    return f"node {node} {name_direction(angle)}"
 
 
 def _as_probes(measurement: Measurement, probes: Sequence[Probe]) -> Measurement:

@@ -109,8 +109,7 @@ class _Problem:
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
-        every = np.stack([values[m, :, u] for m, u in self.measurement.unknowns.active], axis=1)
-        raw = outputs_of(every, self.scale, self.positive, self.least)
+        raw = outputs_of(self.measurement.unknowns.to_active(values), self.scale, self.positive, self.least)
         solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
         return np.concatenate([solution.ravel(), np.zeros(self.n_free)])
 

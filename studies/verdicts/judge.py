@@ -91,7 +91,7 @@ def judge(config: Config, measurement: Measurement, truth: BearingTable) -> dict
                 "reason": one["reasons"][0],
             }
         )
-    return {"machine": verdicts["machine"], "misfit": evidence.misfit_of_stated_noise, "coefficients": rows}
+    return {"machine": verdicts["machine"], "misfit": evidence.misfit.of_stated, "coefficients": rows}
 
 
 def _compare(error: np.ndarray, size: np.ndarray) -> float:

@@ -113,11 +113,15 @@ def test_one_weight_of_any_mass_a_plane(seed: int) -> None:
     assert split <= found * (1 + 1e-12)
 
 
-def test_mistakes_are_named() -> None:
-    with pytest.raises(ConfigError, match="at most 3000000 choices"):
-        choose_weights(np.eye(1), np.ones(1), [_holes(72, 3, tuple(np.arange(1, 30)))])
-    with pytest.raises(ConfigError, match="act alike"):
-        choose_weights(np.ones((3, 2)), np.ones(3), [_holes(4, 1, (1.0,))] * 2)
-    with pytest.raises(ConfigError, match=r"machine\.balance\.most=2"):
-        choose_weights(np.eye(2), np.ones(2), [_holes(360, 1, None)] * 2)
+@pytest.mark.parametrize(
+    ("acting", "planes", "words"),
+    [
+        (np.eye(1), [_holes(72, 3, tuple(np.arange(1, 30)))], "at most 3000000 choices"),
+        (np.ones((3, 2)), [_holes(4, 1, (1.0,))] * 2, "act alike"),
+        (np.eye(2), [_holes(360, 1, None)] * 2, r"machine\.balance\.most=2"),
+    ],
+)
+def test_mistakes_are_named(acting: np.ndarray, planes: list[Holes], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        choose_weights(acting, np.ones(len(acting)), planes)
     assert math.comb(16, 2) * 100 < 3_000_000  # what a kit has is far below

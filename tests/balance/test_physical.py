@@ -12,15 +12,13 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from physical_peers import carry, fit_physical, physical_of, physical_peers
-from running import composed
 from small_rig import AS_FOUND, CHANNELS, HEAVIEST, PLANES, SIZE, SmallRig, small_rig
-from small_rotor import FITTED
 
 from pipeline.balance.physical import Physical, restore_physical
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
-from pipeline.identification.training import FitSetup, setup_of
+from pipeline.identification.training import FitSetup
 from pipeline.identification.uncertainty import measure_uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, spread_conditions, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
@@ -29,11 +27,6 @@ pytestmark = pytest.mark.slow  # one fit of a second or two for all
 
 UNCERTAIN = {"weight_angle": 0.2, "weight_law": 100.0, "bow": 2e-6, "probe_gain": 0.05}
 OFF = np.array([0.8, -0.6, 0.7, -0.5, 0.4, 0.5, -0.3, 0.6, -0.4])
-
-
-@pytest.fixture(scope="module")
-def setup() -> FitSetup:
-    return setup_of(composed(*FITTED))
 
 
 @pytest.fixture(scope="module")

@@ -23,14 +23,23 @@ def test_the_column_of_a_name_gives_name_and_values_back(name: str, values: list
     assert column.to_si(column.from_si(np.array(values))) == pytest.approx(values, rel=1e-10)
 
 
-def test_quantities_are_in_si_and_degrees_exact() -> None:
-    assert to_quantity("oil_temperature", "45 degC") == 318.15
-    assert to_quantity("oil_temperature", "113 degF") == pytest.approx(318.15)
-    assert to_quantity("oil_temperature", 318.15) == 318.15
-    assert to_quantity("oil_supply_pressure", "1.5 bar") == pytest.approx(1.5e5)
-    assert to_quantity("drain_degC", "45 degC") == 318.15
-    assert to_quantity("oil_temperature", "0.5 degC", difference=True) == pytest.approx(0.5)
-    assert to_quantity("oil_temperature", "0.5 K", difference=True) == 0.5
+@pytest.mark.parametrize(
+    ("name", "given", "difference", "expected"),
+    [
+        ("oil_temperature", "45 degC", False, 318.15),
+        ("oil_temperature", "113 degF", False, pytest.approx(318.15)),
+        ("oil_temperature", 318.15, False, 318.15),
+        ("oil_supply_pressure", "1.5 bar", False, pytest.approx(1.5e5)),
+        ("drain_degC", "45 degC", False, 318.15),
+        ("oil_temperature", "0.5 degC", True, pytest.approx(0.5)),
+        ("oil_temperature", "0.5 K", True, 0.5),
+    ],
+)
+def test_quantities_are_in_si_and_degrees_exact(name: str, given: Any, difference: bool, expected: Any) -> None:
+    assert to_quantity(name, given, difference=difference) == expected
+
+
+def test_sections_of_conditions_are_in_si() -> None:
     assert TypeAdapter(States).validate_python(None) == {}
     assert TypeAdapter(States).validate_python({"load": "2 kN"}) == {"load": (2000.0,)}
     assert TypeAdapter(Differences).validate_python({"oil_temperature": "0.5 degC"}) == {

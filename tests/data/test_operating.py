@@ -47,9 +47,15 @@ def test_no_line_has_a_speed_twice_and_every_point_is_on_one(seed: int) -> None:
     assert all((np.diff(speeds[points]) > 0).all() for _, points in states)
 
 
-def test_conditions_are_written_in_the_units_of_an_engineer() -> None:
-    assert write_condition("oil_supply_pressure", 1.5e5) == "1.5 bar"
-    assert write_condition("static_load", 893.0) == "893 N"
-    assert write_condition("humidity", np.array([0.25, 0.25])) == "humidity 25 %"
-    assert write_condition("preheat_degC", 300.15) == "preheat 27 degC"
-    assert write_condition("torque", 3.0) == "torque 3 N*m"
+@pytest.mark.parametrize(
+    ("name", "value", "written"),
+    [
+        ("oil_supply_pressure", 1.5e5, "1.5 bar"),
+        ("static_load", 893.0, "893 N"),
+        ("humidity", np.array([0.25, 0.25]), "humidity 25 %"),
+        ("preheat_degC", 300.15, "preheat 27 degC"),
+        ("torque", 3.0, "torque 3 N*m"),
+    ],
+)
+def test_conditions_are_written_in_the_units_of_an_engineer(name: str, value: float | np.ndarray, written: str) -> None:
+    assert write_condition(name, value) == written

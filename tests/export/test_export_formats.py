@@ -189,13 +189,17 @@ def test_ross_reads_the_workbook(exported: Exported, tmp_path: Path) -> None:
     np.testing.assert_allclose(first["kyx"], exported.table.coefficient("kyx")[0], rtol=2e-8)
 
 
-def test_an_unknown_format_or_unit_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"export\.formats.*'ansis'"):
-        compose_config(["export.formats=[ansis]"])
-    with pytest.raises(ConfigError, match=r"export\.units.*'metric'"):
-        compose_config(["export.units=metric"])
-    with pytest.raises(ConfigError, match=r"export\.formats"):
-        compose_config(["export.formats=[]"])
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("export.formats=[ansis]", r"export\.formats.*'ansis'"),
+        ("export.units=metric", r"export\.units.*'metric'"),
+        ("export.formats=[]", r"export\.formats"),
+    ],
+)
+def test_an_unknown_format_or_unit_is_named(override: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        compose_config([override])
 
 
 def test_a_folder_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from running import composed
+from small_rotor import fitted_beside_truth
 
 from pipeline.identification.model_error import count_local, evaluate_local
-from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.training import setup_of
-from pipeline.problem.configured import build_measurement, model_machine, read_probes
+from pipeline.identification.output_error_fit import OutputErrorFit
 
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
 DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"
@@ -20,11 +19,7 @@ DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"
 def fitted(name: str, *overrides: str) -> tuple[OutputErrorFit, np.ndarray]:
     """The fit of a machine of studies/coverage, its cross terms known, and the true unknowns (S, A)."""
     config = composed("stage=train", f"machine.file=studies/coverage/{name}.yaml", *NOISE, DIRECT, *overrides)
-    rotor, truth, complete = model_machine(config, 3)
-    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, 3), truth)
-    leading = measurement.unknowns.leading(truth.values)
-    fit = fit_output_error(measurement, setup_of(config))
-    return fit, np.stack([leading[m, :, u] for m, u in measurement.unknowns.active], axis=-1)
+    return fitted_beside_truth(config, 3)
 
 
 def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: int) -> float:
@@ -81,9 +76,7 @@ def test_constants_and_few_speeds_have_no_local_functions() -> None:
         hidden=(4,),
         ranges=((10.0, 500.0),),
     )
-    assert count_local(model, 91) == 30
-    assert count_local(model, 30) == 15
-    assert count_local(model, 7) == 0
+    assert {count: count_local(model, count) for count in (91, 30, 7)} == {91: 30, 30: 15, 7: 0}
     assert count_local(replace(model, hidden=None), 91) == 0
     functions = evaluate_local(model, {"speed": np.array([10.0, 200.0, 500.0])}, 10)
     np.testing.assert_allclose(functions.sum(axis=1), 1.0)  # they add up to a constant

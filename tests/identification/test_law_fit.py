@@ -153,17 +153,21 @@ def test_a_model_asks_for_its_conditions() -> None:
         fitted("law").model.values(np.array([100.0]))
 
 
-def test_laws_go_with_the_output_error_alone() -> None:
+@pytest.mark.parametrize(
+    ("loss", "laws", "words"),
+    [
+        ({"hidden": "trained"}, (LUND, FAR), "loss=response"),
+        ({"kind": "preconditioned"}, (LUND, FAR), r"loss\.kind=preconditioned: choose loss=response"),
+        ({}, (), r"must have machine\.laws"),
+    ],
+)
+def test_laws_go_with_the_output_error_alone(
+    loss: dict[str, str], laws: tuple[dict[str, object], ...], words: str
+) -> None:
+    """And a residual knows none."""
     chosen = setup("law")
-    residual = replace(chosen, loss=chosen.loss.model_copy(update={"hidden": "trained"}))
-    with pytest.raises(ConfigError, match="loss=response"):
-        fit(measure(bearings_at(RPM[:3], WARM), laws_of(LUND, FAR)), residual)
-
-
-def test_a_residual_knows_no_laws() -> None:
-    chosen = setup("law")
-    residual = replace(chosen, loss=chosen.loss.model_copy(update={"kind": "preconditioned"}))
-    with pytest.raises(ConfigError, match=r"loss\.kind=preconditioned: choose loss=response"):
-        fit(measure(bearings_at(RPM[:3], WARM), laws_of(LUND, FAR)), residual)
-    with pytest.raises(ConfigError, match=r"must have machine\.laws"):
-        fit(measure(bearings_at(RPM[:3], WARM), None), chosen)
+    with pytest.raises(ConfigError, match=words):
+        fit(
+            measure(bearings_at(RPM[:3], WARM), laws_of(*laws) if laws else None),
+            replace(chosen, loss=chosen.loss.model_copy(update=loss)),
+        )

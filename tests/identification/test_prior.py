@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import torch
 from running import composed
+from small_rotor import fitted_beside_truth
 
 from pipeline.identification.blocks import Basis
-from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.training import setup_of
-from pipeline.problem.configured import build_measurement, model_machine, read_probes
 
 pytestmark = pytest.mark.slow
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
@@ -23,12 +22,7 @@ UNSEEN = ["machine.file=studies/coverage/friswell.yaml", *NOISE]
 
 def fitted(*overrides: str, seed: int = 0) -> tuple[OutputErrorFit, np.ndarray]:
     """The fit of a machine, and the true unknowns (S, A)."""
-    config = composed("stage=train", *overrides)
-    rotor, truth, complete = model_machine(config, seed)
-    measurement = build_measurement(config, rotor, read_probes(config, rotor, complete, seed), truth)
-    leading = measurement.unknowns.leading(truth.values)
-    fit = fit_output_error(measurement, setup_of(config))
-    return fit, np.stack([leading[m, :, u] for m, u in measurement.unknowns.active], axis=-1)
+    return fitted_beside_truth(composed("stage=train", *overrides), seed)
 
 
 def without_prior(monkeypatch: pytest.MonkeyPatch) -> None:

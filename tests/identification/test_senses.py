@@ -7,25 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Run
+from conftest import Run, assert_says
 from running import FEW_SPEEDS, composed, strict_json
 from small_rotor import FITTED, small_machine
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
 from pipeline.identification.senses import SENSES, Sense, Senses, Trial, try_senses
-from pipeline.identification.training import FitSetup, setup_of
+from pipeline.identification.training import FitSetup
 
 ORTHOTROPIC = (2e6, 3e5, -4e5, 1e6, 900.0, 100.0, 150.0, 600.0)
 ISOTROPIC = (2e6, 3e5, -3e5, 2e6, 900.0, 40.0, -40.0, 900.0)
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 REVERSED = np.array([-1.0 if name in ("kxy", "kyx", "cxx", "cyy") else 1.0 for name in COEFFICIENTS])
 """Signs with which a machine looks, mirrored and time reversed, as it does without them."""
-
-
-@pytest.fixture(scope="module")
-def setup() -> FitSetup:
-    return setup_of(composed(*FITTED))
 
 
 @pytest.mark.parametrize("eight", [ORTHOTROPIC, ISOTROPIC])
@@ -74,8 +69,7 @@ def test_without_damping_the_mirrored_machine_fits_as_well(setup: FitSetup) -> N
     """One of 1 N s/m makes no phase that these readings show; the pair is told as one."""
     found = try_senses(small_machine((*DIRECT[:4], 1.0, 0.0, 0.0, 1.0))[0], setup)
     assert {one.sense for one in found.open} == {Sense(), Sense().twin}
-    assert "The same machine mirrored" in found.sentence
-    assert "fits as well" in found.sentence
+    assert_says(found.sentence, "The same machine mirrored", "fits as well")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MachineFactory, refused
+from conftest import MachineFactory, assert_says, refused
 from measured_files import CONVENTIONS, long, probes_config, table_config, vectors_of
 from pydantic import ValidationError
 from reading import BARE, DISC, ONE, RPM, RUNS, _mapping, parsed, read, waves, wide_runs, with_ingest
@@ -183,8 +183,7 @@ def test_ingest_then_train(ball_tables: Path, capsys: pytest.CaptureFixture[str]
     config = with_ingest(ball_section(ball_tables), output=str(out))
     run_stage(config)
     said = capsys.readouterr()
-    assert "read as um, peak-to-peak, phase lag in deg, speed in rpm" in said.out
-    assert "A (node 0, 45 deg)" in said.out
+    assert_says(said.out, "read as um, peak-to-peak, phase lag in deg, speed in rpm", "A (node 0, 45 deg)")
     assert "warning" not in said.err
     assert {p.name for p in out.iterdir()} == {
         *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "ingest.json"),
@@ -248,8 +247,7 @@ def test_units_that_the_model_contradicts_are_warned_of(
     wrong = section | {"runs": heavy, "conventions": CONVENTIONS | {"phase": "lead"}}
     run_stage(with_ingest(wrong, output=str(ball_tables / "wrong")))
     warned = capsys.readouterr().err
-    assert "times smaller than the rotor's on bearings of" in warned
-    assert "the orbits of run 'one' turn backward at" in warned
+    assert_says(warned, "times smaller than the rotor's on bearings of", "the orbits of run 'one' turn backward at")
     made = machine("experiment=ball_bearing", "machine.speeds.step_rpm=245", TWO)
     assert note_size(made.dataset, made.rotor, 1e7, 1e3) == []
     assert note_whirl(made.dataset) == []

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import refused
+from conftest import assert_says, refused
 from measured_files import PROBES, probes_config, rotating, tacho_of, uff_set, write_hdf5, write_tdms, write_uff
 from reading import GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, response, seen, waves
 from scipy.io import wavfile
@@ -64,9 +64,12 @@ def test_what_a_universal_file_says_otherwise_is_warned_of(tmp_path: Path) -> No
     """Labels of length and speed, dataset 164, and numbers per force: the configuration is followed."""
     labelled = uff_sets(ordinate_axis_units_lab="mm", abscissa_axis_units_lab="Hz", orddenom_spec_data_type=13)
     words = notes(uff_config(write_uff(tmp_path / "a.uff", labelled)))
-    assert "its lengths are in 'mm', and machine.recordings.conventions.length is um" in words
-    assert "its abscissa is in Hz, and machine.recordings.conventions.speed is rpm" in words
-    assert "is per force" in words
+    assert_says(
+        words,
+        "its lengths are in 'mm', and machine.recordings.conventions.length is um",
+        "its abscissa is in Hz, and machine.recordings.conventions.speed is rpm",
+        "is per force",
+    )
     units = {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
     words = notes(uff_config(write_uff(tmp_path / "b.uff", [units, *uff_sets()])))
     assert "its lengths are in 0.001 m (dataset 164)" in words

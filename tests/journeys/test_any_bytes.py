@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import Run, examples, known_names
-from damaged import SMALL, SPEEDS, measured, stored
+from damaged import SMALL, SPEEDS, answers, measured, stored
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -27,12 +27,6 @@ from pipeline.files import read_json
 from pipeline.identification.storage import load_model
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import assemble
-
-
-def answers(folder: Path) -> dict[str, object]:
-    files = ("model.safetensors", "model.json", "identified_coefficients.csv", "training.json")
-    return {name: (folder / name).read_bytes() for name in files}
-
 
 WAYS: dict[str, Callable[[pd.DataFrame, Path], Path]] = {
     "csv": lambda t, folder: stored(t, folder / "v.csv"),

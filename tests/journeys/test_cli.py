@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from conftest import assert_says
 from running import ENVIRONMENT, PYTHON, python
 
 from pipeline.__main__ import Job, main
@@ -289,8 +290,7 @@ def test_a_failing_job_lets_the_others_run_and_fails_the_command(
     assert main(["-m", "seed=2,3"]) == 2
     assert [config.seed for config in runs] == [2, 3]
     err = capsys.readouterr().err
-    assert "the data must be there" in err
-    assert "[1/2] seed=2 failed" in err
+    assert_says(err, "the data must be there", "[1/2] seed=2 failed")
     assert "Traceback" not in err
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import assert_says, refused
 from measured_files import CONVENTIONS, long, table_config
 from reading import RUNS, read, seen
 
@@ -221,13 +221,11 @@ def test_a_run_that_is_missing(tmp_path: Path) -> None:
 
 def test_a_dead_channel_is_named_when_it_is_read() -> None:
     (said,) = note_dead("first", {"DE_left": 3e-6, "DE_right": 4e-6, "NDE_left": 1e-9, "NDE_right": 5e-6})
-    assert "probe 'NDE_left' of run 'first'" in said
-    assert "dead" in said
+    assert_says(said, "probe 'NDE_left' of run 'first'", "dead")
 
 
 def test_a_clipped_signal_is_named_when_it_is_read() -> None:
     time = np.arange(5000) / 5000
     sine = np.round(np.sin(2 * np.pi * 50 * time) * 2000) / 2000 + 0.01 * np.random.default_rng(0).standard_normal(5000)
     (said,) = note_clipping("'a.h5'", {"left": np.clip(sine, -0.8, 0.8), "right": sine})
-    assert "probe 'left'" in said
-    assert "clipped" in said
+    assert_says(said, "probe 'left'", "clipped")

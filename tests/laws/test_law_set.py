@@ -165,17 +165,31 @@ def test_unknown_numbers_have_names_units_and_guesses() -> None:
     np.testing.assert_allclose(EVERYTHING.numbers(theta)[:2], [0.0332, 0.034])
 
 
-def test_what_a_law_needs_and_does_not_get_is_named() -> None:
-    with pytest.raises(DataError, match=r"oil_temperature, but the data have load.*column oil_temperature_degC"):
-        known(laws(LUND), operating={"load": np.ones(7)})
-    with pytest.raises(DataError, match="load above zero"):
-        known(laws({**LUND, "static_load": "condition"}), operating={**WARM, "load": np.zeros(7)})
-    with pytest.raises(ConfigError, match=r"bearings.0 must have a preload .*has from 0 to 0.75: give preload"):
-        laws({**ELLIPTICAL, "preload": None})
-    with pytest.raises(ConfigError, match="has none: leave out preload"):
-        laws({**LUND, "preload": 0.4})
-    with pytest.raises(ConfigError, match="must have a law for node 5, but it has 0"):
-        make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: LUND}}), (0, 5))
+@pytest.mark.parametrize(
+    ("law", "operating", "words"),
+    [
+        (LUND, {"load": np.ones(7)}, "oil_temperature, but the data have load.*column oil_temperature_degC"),
+        ({**LUND, "static_load": "condition"}, {**WARM, "load": np.zeros(7)}, "load above zero"),
+    ],
+)
+def test_a_condition_that_a_law_needs_and_does_not_get_is_named(
+    law: dict[str, object], operating: dict[str, np.ndarray], words: str
+) -> None:
+    with pytest.raises(DataError, match=words):
+        known(laws(law), operating=operating)
+
+
+@pytest.mark.parametrize(
+    ("law", "nodes", "words"),
+    [
+        ({**ELLIPTICAL, "preload": None}, (0,), "bearings.0 must have a preload .*has from 0 to 0.75: give preload"),
+        ({**LUND, "preload": 0.4}, (0,), "has none: leave out preload"),
+        (LUND, (0, 5), "must have a law for node 5, but it has 0"),
+    ],
+)
+def test_what_a_law_must_have_is_named(law: dict[str, object], nodes: tuple[int, ...], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: law}}), nodes)
 
 
 HEADER = "S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy\n"

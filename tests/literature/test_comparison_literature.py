@@ -88,6 +88,8 @@ def test_a_spline_knows_of_the_neighbouring_speeds() -> None:
 SPEED_RPM = 3100.0
 LENGTH, RATE = 2.0, 8000.0  # s, 1/s
 PULSE = 0.004  # s
+TIME = np.arange(int(LENGTH * RATE)) / RATE  # s
+BLOW = np.where(TIME < PULSE, np.sin(np.pi * TIME / PULSE), 0.0)  # N
 UNBALANCE = 4e-5 * np.exp(0.9j)  # kg m at node 2: nobody knows of it
 
 
@@ -106,13 +108,11 @@ def _blown(rotor: RotorModel, impedance: np.ndarray, speed: float, node: int, di
     whole = np.zeros((2 * n + 2, 2 * n + 2))
     whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n], whole[2 * n, 2 * n + 1] = system, drive, 1.0
     step = expm(whole / RATE)
-    time = np.arange(int(LENGTH * RATE)) / RATE
-    force = np.where(time < PULSE, np.sin(np.pi * time / PULSE), 0.0)
-    slope = np.diff(force, append=0.0) * RATE
-    state, seen = np.zeros(2 * n), np.empty((len(time), n))
-    for t in range(len(time)):
+    slope = np.diff(BLOW, append=0.0) * RATE
+    state, seen = np.zeros(2 * n), np.empty((len(TIME), n))
+    for t in range(len(TIME)):
         seen[t] = state[:n]
-        state = (step @ np.concatenate([state, [force[t], slope[t]]]))[: 2 * n]
+        state = (step @ np.concatenate([state, [BLOW[t], slope[t]]]))[: 2 * n]
     return seen
 
 
@@ -125,8 +125,6 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     s = int(np.abs(whole.modelled.speeds * 30 / np.pi - SPEED_RPM).argmin())
     speed, truth = float(whole.modelled.speeds[s]), whole.modelled.at(np.array([s]))
     impedance = truth.impedance()[:, 0]
-    time = np.arange(int(LENGTH * RATE)) / RATE
-    force = np.where(time < PULSE, np.sin(np.pi * time / PULSE), 0.0)
     lines = 2 * np.pi * np.array([35.0, 60.0, 85.0, 110.0])
     channels = list_directions(rotor.bearing_nodes)
     sensors = VibrationDataset(np.array([speed]), (), channels, np.zeros((1, 4, 0)), ()).sensor_matrix(rotor.n_dof)
@@ -134,8 +132,8 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     for direction in (0, 1):
         record = _blown(rotor, impedance, speed, 2, direction) @ sensors.T  # (T, P)
         for w in lines:
-            wave = np.exp(-1j * w * time) / RATE
-            size = complex(wave @ force)
+            wave = np.exp(-1j * w * TIME) / RATE
+            size = complex(wave @ BLOW)
             name = f"{direction} {w:.0f}"
             runs.append(name)
             columns.append(wave @ record)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Run
+from conftest import Run, assert_says
 
 from pipeline.config.compose import compose_config
 from pipeline.data.excitation_files import list_candidates
@@ -155,8 +155,7 @@ def test_what_cannot_be_reached_is_said_with_a_cure(
         < min(of for name, of in about["cures"].items() if name != "a force that turns backward")
     )
     said = capsys.readouterr().out
-    assert "10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node" in said
-    assert "(enough)" in said
+    assert_says(said, "10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node", "(enough)")
 
 
 def test_a_wrong_accuracy_is_refused() -> None:

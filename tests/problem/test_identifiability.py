@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import Machine, MachineFactory, Run, bearings_of
+from conftest import Machine, MachineFactory, Run, assert_says, bearings_of
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
@@ -377,8 +377,7 @@ def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
     run("diagnose", chosen, tmp_path / "my data")
     said = capsys.readouterr().out
-    assert "bearing at node 8: not identifiable, because" in said
-    assert "bearing at node 21: identifiable" in said
+    assert_says(said, "bearing at node 8: not identifiable, because", "bearing at node 21: identifiable")
     account = json.loads((tmp_path / "my data" / "diagnosis.json").read_text())["bearings"]
     assert (account["8"]["rank"], account["8"]["orbit_rank"]) == ({"least": 4, "most": 4}, {"least": 1, "most": 1})
     assert set(account["8"]["median_deviation_percent"].values()) == {None}

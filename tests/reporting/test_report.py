@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import assert_says
 
 from pipeline.config.measured import ProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
@@ -108,10 +109,8 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     panels = json.loads(found[1])
     assert [panel["id"] for panel in panels] == re.findall(r'<div class="panel[^"]*" id="(\w+)"', text)
     assert len(panels) == 4
-    assert "<dt>Customer</dt><dd>C &amp; D</dd>" in text
     assert "Author" not in text
-    assert "Words &lt; here." in text
-    assert "First &lt;/script&gt; section" in text
+    assert_says(text, "<dt>Customer</dt><dd>C &amp; D</dd>", "Words &lt; here.", "First &lt;/script&gt; section")
     assert 'data-value="6.0"' in text  # 3 um zero-to-peak
     amplitude = panels[0]["traces"][-1]
     assert amplitude["y"][0] == pytest.approx(2.0)

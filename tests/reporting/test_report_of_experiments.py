@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import assert_says
 
 from pipeline.config.compose import compose_config
 from pipeline.stages import run_stage
@@ -79,8 +80,7 @@ def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
         assert f'id="figure-{figure}"' in text, figure
     fingerprint = json.loads((ARTIFACTS / name / "training.json").read_text())["data_fingerprint"]
     assert fingerprint in text
-    assert "±" in text
-    assert "verification" in text
+    assert_says(text, "±", "verification")
     asked = ["What was asked?", "What is the answer?", "What may be relied on?", "What is to be done next?"]
     first = text[text.index('<section id="answer">') :]
     assert re.findall(r"<td[^>]*>(What [^<]*\?)</td>", first[: first.index("</section>")]) == asked

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import Artifacts
+from conftest import Artifacts, assert_says
 from running import composed, names_in, strict_json
 
 from pipeline.config.schema import Config
@@ -27,8 +27,7 @@ def config_of(folder: Path, *overrides: str) -> Config:
 def test_the_files_and_the_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_stage(config_of(tmp_path, "stage=ingest"))
     said = capsys.readouterr().out
-    assert "204 records of 68 conditions at 2 speeds, 4 probes" in said
-    assert "angle a phase lag" in said
+    assert_says(said, "204 records of 68 conditions at 2 speeds, 4 probes", "angle a phase lag")
     summary = strict_json(tmp_path / "ingest.json")
     assert (summary["records"], summary["conditions"], summary["nodes"]) == (204, 68, [6, 22])
     assert "modelled_coefficients.csv" not in names_in(tmp_path)

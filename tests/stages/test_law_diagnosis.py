@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conftest import Run
+from conftest import Run, assert_says
 from running import composed, strict_json
 
 from pipeline.errors import ConfigError, IdentifiabilityError
@@ -43,8 +43,11 @@ def test_one_temperature_leaves_the_slope_and_names_the_next_step(
     config = composed(*machine("[45 degC]", load="{guess: 525 N}"))
     run("diagnose", config, tmp_path)
     said = " ".join(capsys.readouterr().out.split())
-    assert "these data do not tell oil.slope: give it as a known number" in said
-    assert "5.static_load together: give one of them as a known number" in said
+    assert_says(
+        said,
+        "these data do not tell oil.slope: give it as a known number",
+        "5.static_load together: give one of them as a known number",
+    )
     with pytest.raises(IdentifiabilityError, match="measure at a further oil temperature, 15 K apart"):
         run("train", config, tmp_path)
 

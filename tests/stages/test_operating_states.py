@@ -65,11 +65,16 @@ def test_a_machine_without_conditions_is_the_machine_that_it_was() -> None:
     assert hash_machine(composed(*BASE)) != hash_machine(composed(*BASE, STATES))
 
 
-def test_what_is_no_condition_is_named_with_its_key() -> None:
-    with refused("machine.operating: ", "oil_temperature must carry its unit", kind=ConfigError):
-        composed(*BASE, "machine.operating={oil_temperature: [45]}")
-    with refused("data.same_conditions: ", "(such as 0.5 K)", kind=ConfigError):
-        composed(*BASE, "data.same_conditions={oil_temperature: 5 N}")
+@pytest.mark.parametrize(
+    ("key", "given", "words"),
+    [
+        ("machine.operating", "[45]", "oil_temperature must carry its unit"),
+        ("data.same_conditions", "5 N", "(such as 0.5 K)"),
+    ],
+)
+def test_what_is_no_condition_is_named_with_its_key(key: str, given: str, words: str) -> None:
+    with refused(f"{key}: ", words, kind=ConfigError):
+        composed(*BASE, f"{key}={{oil_temperature: {given}}}")
 
 
 @pytest.fixture(scope="module")

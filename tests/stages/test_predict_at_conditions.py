@@ -84,11 +84,16 @@ def test_the_export_has_a_table_a_measured_state(run: Run, folder: Path) -> None
     assert abs(clearance["value"] - 85.0) < 4 * clearance["std"] < 8.0
 
 
-def test_conditions_that_are_missing_or_unknown_are_refused(run: Run, folder: Path) -> None:
-    with pytest.raises(ConfigError, match="must name conditions of the data, but got load"):
-        run("predict", [*MACHINE, "+machine.prediction.operating.load=500 N"], folder)
-    with pytest.raises(ConfigError, match="oil_temperature must convert to kelvin"):
-        run("predict", [*MACHINE, "machine.prediction.operating.oil_temperature=70 mm"], folder)
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("+machine.prediction.operating.load=500 N", "must name conditions of the data, but got load"),
+        ("machine.prediction.operating.oil_temperature=70 mm", "oil_temperature must convert to kelvin"),
+    ],
+)
+def test_conditions_that_are_missing_or_unknown_are_refused(override: str, words: str, run: Run, folder: Path) -> None:
+    with pytest.raises(ConfigError, match=words):
+        run("predict", [*MACHINE, override], folder)
 
 
 def test_a_speed_between_those_of_the_data_is_predicted(

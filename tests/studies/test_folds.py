@@ -62,10 +62,12 @@ def test_no_split_tests_what_it_trains_or_what_calibrates() -> None:
     assert total[heavier.train].max() < 60 * GRAM <= total[heavier.test].min()
 
 
-def test_configurations_are_named_by_planes_and_angle_between() -> None:
-    assert name_configuration(np.array([0, 0])) == ""
-    assert name_configuration(np.array([0, 3j])) == "plane 2 at 0"
-    assert name_configuration(np.array([2j, -2j])) == "plane 1 at 0 plane 2 at 180"
+@pytest.mark.parametrize(
+    ("weights", "name"),
+    [([0, 0], ""), ([0, 3j], "plane 2 at 0"), ([2j, -2j], "plane 1 at 0 plane 2 at 180")],
+)
+def test_configurations_are_named_by_planes_and_angle_between(weights: list[complex], name: str) -> None:
+    assert name_configuration(np.array(weights)) == name
 
 
 def test_scores_follow_their_definitions() -> None:

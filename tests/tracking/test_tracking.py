@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import unknown_at_all
+from conftest import assert_says, unknown_at_all
 from running import PYTHON
 
 import pipeline
@@ -239,16 +239,14 @@ def test_deleted_experiment(settings: TrackingConfig) -> None:
     logged = Logged(settings)
     logged.client.delete_experiment(logged.run.info.experiment_id)
     (problem,) = track(record(), settings)
-    assert "'rotor rig' was deleted" in problem
-    assert "mlflow experiments restore" in problem
+    assert_says(problem, "'rotor rig' was deleted", "mlflow experiments restore")
 
 
 @pytest.mark.parametrize("uri", ["http://127.0.0.1:9", "http://anna:secret@127.0.0.1:9"])
 def test_unreachable_server(uri: str) -> None:
     (problem,) = track(record(), at(uri, timeout_seconds=2.0))
     assert problem.startswith("Stage 'train' of 'rotor rig' is not in MLflow (http://")
-    assert "can't be reached (connection refused)" in problem
-    assert "tracking.enabled=false" in problem
+    assert_says(problem, "can't be reached (connection refused)", "tracking.enabled=false")
     assert "secret" not in problem
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import assert_says
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import Deviations
@@ -122,8 +123,7 @@ def test_a_run_is_blamed_where_sums_of_runs_object() -> None:
 def test_the_model_may_be_at_fault_where_no_sum_of_runs_objects() -> None:
     for superposed in ({"a": 1.0, "b": 1.0}, {}):
         judged = record(gathered(superposed=superposed, predicted={"a": 16.0, "b": 2.0}))["machine"]
-        assert "Run 'a' contradicts the fit of the other runs" in judged["reason"]
-        assert "the model may be at fault" in judged["reason"]
+        assert_says(judged["reason"], "Run 'a' contradicts the fit of the other runs", "the model may be at fault")
         assert judged["next"].startswith("Check the model, and the weight")
 
 
@@ -150,8 +150,7 @@ def test_a_rejected_model_is_said_to_be_with_its_held_out_error() -> None:
     fit = FIT | {"held_out_speeds": {"error_percent": 92.0, "mean_square_over_noise": 400.0}}
     judged = record(gathered({name: 5.0 * abs(value) for name, value in VALUES.items()}, fit=fit))["machine"]
     assert judged["verdict"] == "no"
-    assert "REJECTED" in judged["reservation"]
-    assert "held-out speeds predicted to 92 %" in judged["reservation"]
+    assert_says(judged["reservation"], "REJECTED", "held-out speeds predicted to 92 %")
 
 
 def test_good_is_never_said_beside_readings_that_are_not_explained() -> None:

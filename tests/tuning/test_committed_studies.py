@@ -100,12 +100,17 @@ def test_a_promoted_study_is_in_force(found: list[str], tmp_path: Path, capsys: 
     assert contents(tmp_path / "studies") == target
 
 
-def test_what_can_not_be_promoted(found: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("tuning.study=other", r"there is no 'artifacts/studies/other/best\.yaml'"),
+        ("experiment=hydrostatic_stiffness", "is of ball_bearing, not of hydrostatic_stiffness"),
+    ],
+)
+def test_what_can_not_be_promoted(override: str, words: str, found: list[str], tmp_path: Path) -> None:
     """A study that has not ended, and one of another experiment: nothing is written."""
-    with pytest.raises(ConfigError, match=r"there is no 'artifacts/studies/other/best\.yaml'"):
-        run_stage(compose_config([*found, "tuning.study=other"]))
-    with pytest.raises(ConfigError, match="is of ball_bearing, not of hydrostatic_stiffness"):
-        run_stage(compose_config([*found, "experiment=hydrostatic_stiffness"]))
+    with pytest.raises(ConfigError, match=words):
+        run_stage(compose_config([*found, override]))
     assert not (tmp_path / "studies").exists()
 
 

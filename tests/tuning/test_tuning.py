@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import examples
+from conftest import assert_says, examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -242,9 +242,12 @@ def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.
 
     say_promoted(compose_config([f"tuning.promoted={study}", "model.width=24"]))
     said = capsys.readouterr().out
-    assert "study 'x' (trial 5) in force: model.activation tanh -> silu, training.tolerance 0.1 -> 0.03" in said
-    assert "their loss is 1.4e-7, that of the configured values (tuned=false) 0.07" in said
-    assert "given on the command line instead of tuned: model.width=24" in said
+    assert_says(
+        said,
+        "study 'x' (trial 5) in force: model.activation tanh -> silu, training.tolerance 0.1 -> 0.03",
+        "their loss is 1.4e-7, that of the configured values (tuned=false) 0.07",
+        "given on the command line instead of tuned: model.width=24",
+    )
 
 
 def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:

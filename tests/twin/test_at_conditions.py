@@ -29,14 +29,18 @@ KEY = "machine.prediction.operating"
 MEASURED = {"oil_temperature": np.repeat(CELSIUS, 2) + 273.15, "load": np.tile([500.0, 900.0], 3)}
 
 
-def test_conditions_are_those_of_the_data() -> None:
+@pytest.mark.parametrize(
+    ("asked", "measured", "words"),
+    [
+        ({"oil_temperature": 300.0}, MEASURED, "must say every condition of the data, but load is missing"),
+        ({"oil_pressure": 1e5}, MEASURED, "got oil_pressure: they have oil_temperature, load"),
+        ({"load": 1.0}, {}, "got load: they have none"),
+    ],
+)
+def test_conditions_are_those_of_the_data(asked: dict[str, float], measured: dict[str, np.ndarray], words: str) -> None:
     require_conditions(KEY, {"load": 1.0, "oil_temperature": 300.0}, MEASURED)
-    with pytest.raises(ConfigError, match="must say every condition of the data, but load is missing"):
-        require_conditions(KEY, {"oil_temperature": 300.0}, MEASURED)
-    with pytest.raises(ConfigError, match="got oil_pressure: they have oil_temperature, load"):
-        require_conditions(KEY, {"oil_pressure": 1e5}, MEASURED)
-    with pytest.raises(ConfigError, match="got load: they have none"):
-        require_conditions(KEY, {"load": 1.0}, {})
+    with pytest.raises(ConfigError, match=words):
+        require_conditions(KEY, asked, measured)
 
 
 def test_the_middle_is_a_measured_state() -> None:

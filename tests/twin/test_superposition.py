@@ -90,18 +90,21 @@ def test_the_model_and_its_rivals_beside_each_other(rotor_of: Machine) -> None:
     assert said["at the end"] == dict.fromkeys(("run second", "run both", "range of speeds, 5600 to 6000 rpm"))
 
 
-@pytest.mark.parametrize("wrong", ["[100 rpm,200 rpm]", "[1 rpm,9999 rpm]"])
-def test_a_range_holds_some_speeds_and_leaves_some(rotor_of: Machine, wrong: str) -> None:
-    config = compose_config(["experiment=noisy_stiffness", f"training.holdout_range={wrong}"])
+@pytest.mark.parametrize(
+    ("experiment", "given", "words"),
+    [
+        ("noisy_stiffness", "[100 rpm,200 rpm]", "must hold some of the speeds and leave some"),
+        ("noisy_stiffness", "[1 rpm,9999 rpm]", "must hold some of the speeds and leave some"),
+        ("hydrostatic_stiffness", "[2000 rpm,3000 rpm]", "holdout_range must go with loss=response"),
+    ],
+)
+def test_mistakes_of_a_range_are_named(rotor_of: Machine, experiment: str, given: str, words: str) -> None:
+    config = compose_config([f"experiment={experiment}", f"training.holdout_range={given}"])
     measurement = rotor_of.measured(runs_of(rotor_of, FIRST, SECOND), config)
-    with pytest.raises(ConfigError, match="must hold some of the speeds and leave some"):
+    with pytest.raises(ConfigError, match=words):
         fit(measurement, setup_of(config))
 
 
-def test_mistakes_of_a_range_are_named(rotor_of: Machine) -> None:
+def test_a_range_ascends() -> None:
     with pytest.raises(ConfigError, match="from <= to"):
         compose_config(["training.holdout_range=[3000 rpm,2000 rpm]"])
-    config = compose_config(["experiment=hydrostatic_stiffness", "training.holdout_range=[2000 rpm,3000 rpm]"])
-    measurement = rotor_of.measured(runs_of(rotor_of, FIRST, SECOND), config)
-    with pytest.raises(ConfigError, match="holdout_range must go with loss=response"):
-        fit(measurement, setup_of(config))
