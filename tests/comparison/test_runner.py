@@ -201,8 +201,7 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
     sensors = ("bearings", "location")
     items = [(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
-    names = {"answered", *REQUIREMENTS}
-    assert {result.outcome for result in results} <= names
+    assert {result.outcome for result in results} <= {"answered", *REQUIREMENTS}
     for result in results:
         assert result.answered == bool(result.coefficients)
         assert result.answered or result.words

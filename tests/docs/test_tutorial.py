@@ -41,5 +41,4 @@ def test_the_tutorial_makes_a_machine_file(tmp_path: Path, monkeypatch: pytest.M
     assert recordings.sample_rate == 2500
     assert {probe.scale for probe in recordings.probes.values()} == {"200 mV/mil"}
     assert all(Path(run.file or "").is_file() for run in recordings.runs)
-    weights = [one.magnitude for run in recordings.runs for one in run.unbalances]
-    assert weights == pytest.approx([2e-4, 2e-4])
+    assert [one.magnitude for run in recordings.runs for one in run.unbalances] == pytest.approx([2e-4, 2e-4])

@@ -147,8 +147,7 @@ def test_json_follows_its_schema(exported: Exported) -> None:
             )
             assert one.identified is not (b == 1 and name in ("cxy", "cyx"))
             assert (one.std is None) is not one.identified
-    schema = Document.model_json_schema()
-    assert set(schema["required"]) == json.loads(text).keys() - {"schema_version"}
+    assert set(Document.model_json_schema()["required"]) == json.loads(text).keys() - {"schema_version"}
     with pytest.raises(ValueError, match="Extra inputs"):
         Document.model_validate_json(text.replace('"experiment"', '"experimant":1,"experiment"', 1))
 

@@ -56,8 +56,7 @@ def test_states_of_the_configuration_have_units() -> None:
 
 def test_the_csv_has_a_column_a_condition_and_reads_back(states: list[Exported], tmp_path: Path) -> None:
     path = write_table(tmp_path / "coefficients.csv", tabulate(*states))
-    head = path.read_text().splitlines()[0]
-    assert head.startswith("bearing_node,speed_rpm,oil_temperature_degC,kxx")
+    assert path.read_text().splitlines()[0].startswith("bearing_node,speed_rpm,oil_temperature_degC,kxx")
     for one in states:
         found = read_coefficients(path, (0, 5), one.table.speeds, operating=one.table.operating)
         np.testing.assert_array_equal(found.values, one.table.values)

@@ -51,8 +51,7 @@ def test_intervals_hold_coefficients_with_kinks() -> None:
 def test_where_the_functions_suffice_the_deviations_hardly_change() -> None:
     """Tables over the Sommerfeld number are nearly power laws."""
     fit, _ = fitted("rigid")
-    n_rest = fit.problem.places.n_rest
-    assert n_rest == 0
+    assert fit.problem.places.n_rest == 0
     n_features, n_local = fit.problem.features.shape[-1], fit.error().n_local
     own = np.arange(len(fit.error().matrix)) % (n_features + n_local) < n_features
     before, after = np.diag(fit.covariance()), np.diag(fit.error().matrix[np.ix_(own, own)])

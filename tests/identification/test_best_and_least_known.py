@@ -84,5 +84,4 @@ def test_a_run_is_tried_whatever_the_noise_of_the_others() -> None:
 
 def test_functions_of_the_speed_have_no_such_directions() -> None:
     """A network has other combinations at each speed."""
-    config = compose_config([*FITTED, "model=b_spline"])
-    assert combine(small_machine(DIRECT)[0], setup_of(config)) is None
+    assert combine(small_machine(DIRECT)[0], setup_of(compose_config([*FITTED, "model=b_spline"]))) is None

@@ -75,8 +75,7 @@ def test_it_is_the_published_statistic() -> None:
     series = np.random.default_rng(3).standard_normal(25).cumsum()
     products = [series[lag:] * series[:-lag] for lag in range(1, 6)]
     statistic = sum(max(np.sum(product), 0.0) ** 2 / np.sum(product**2) for product in products)
-    found = measure_whiteness([series[:, None, None].astype(complex)])
-    assert found == pytest.approx(bar(statistic, 5))
+    assert measure_whiteness([series[:, None, None].astype(complex)]) == pytest.approx(bar(statistic, 5))
 
 
 def test_with_equal_variances_it_is_box_and_pierce() -> None:
@@ -125,6 +124,5 @@ def held_out(predicted: complex) -> Any:
 def test_a_prediction_beyond_all_bounds_is_null_in_json(far: complex) -> None:
     """A range that was held out, where coefficients are exponentials of functions that nothing holds there."""
     fit: Any = SimpleNamespace(weights=None, factor=np.ones(1))
-    summary = _held_out(fit, held_out(far))
-    assert json.loads(json.dumps(summary, allow_nan=False))["error_percent"] is None
+    assert json.loads(json.dumps(_held_out(fit, held_out(far)), allow_nan=False))["error_percent"] is None
     assert _held_out(fit, held_out(1.1 + 0j))["error_percent"] == pytest.approx(10.0)

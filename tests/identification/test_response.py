@@ -151,8 +151,7 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
-    found = conclude(with_plane).uncertainty.residual_unbalance[0]
-    assert abs(found - 3e-5 * np.exp(1j)) < 1e-3 * 3e-5
+    assert abs(conclude(with_plane).uncertainty.residual_unbalance[0] - 3e-5 * np.exp(1j)) < 1e-3 * 3e-5
     assert np.median(relative_errors(rotor_of, with_plane, ("kxx", "kyy")), axis=-1).max() < 0.0025
     without = fit_of(rotor_of, dataset, 1e-3)
     assert np.median(relative_errors(rotor_of, without, ("kxx", "kyy")), axis=-1).max() > 0.4
@@ -326,8 +325,7 @@ def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
 def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     values = np.full((2, len(rotor_of.speeds), 2), 2e7)
-    healthy = start_at(problem, values)
-    assert len(revive(problem, healthy)) == 0
+    assert len(revive(problem, start_at(problem, values))) == 0
     values[1, :, 1] = 1e4
     again = revive(problem, start_at(problem, values))
     found = problem.unknowns(again)[0][0].median(dim=0).values.numpy()

@@ -56,8 +56,7 @@ def test_each_kind_is_a_part_of_the_whole() -> None:
     assert whole.uncertainty is not None
     assert whole.uncertainty.unfitted.names == list(USUAL)
     kind = "probe_gain"
-    part = whole.uncertainty.unfitted.select(kind)
-    assert len(part.kinds) == len(measurement.dataset.channels)
+    assert len(whole.uncertainty.unfitted.select(kind).kinds) == len(measurement.dataset.channels)
     assert (
         np.linalg.eigvalsh(whole.uncertainty.without_tolerances).min()
         > -1e-9 * np.abs(whole.uncertainty.without_tolerances).max()

@@ -96,8 +96,7 @@ def test_a_table_in_any_convention_is_read_back(
         )
         dataset = read(section).dataset
     assert dataset.speeds == pytest.approx(rpm * RPM, rel=1e-9)
-    error = np.abs(dataset.displacement[:, :, 0] - displacement)
-    assert error.max() < 1e-9 * np.abs(displacement).max()
+    assert np.abs(dataset.displacement[:, :, 0] - displacement).max() < 1e-9 * np.abs(displacement).max()
 
 
 GRID = np.arange(500.0, 1501.0, 100.0)
@@ -274,8 +273,7 @@ def test_any_table(rows: list[list[Any]], header: list[str]) -> None:
     if found is None:
         return
     dataset = found.dataset
-    numbers = table.map(float)
-    assert dataset.speeds == pytest.approx(np.sort(numbers["speed"].to_numpy()) * RPM, rel=1e-9)
+    assert dataset.speeds == pytest.approx(np.sort(table.map(float)["speed"].to_numpy()) * RPM, rel=1e-9)
     assert np.isfinite(dataset.displacement).all()
 
 

@@ -100,8 +100,7 @@ def test_ctrl_c_in_any_phase_keeps_the_best_state(
     assert told["outcome"] == "interrupted"
     assert told["held_out_loss"] <= min(losses(tmp_path / "x")) * (1 + 1e-12)  # each bearing at its own best step
     assert 0 <= len(losses(tmp_path / "x")) - told["steps"] <= 1  # the last one was not finished
-    identified = load_model(tmp_path / "x").values(np.array([100.0, 200.0]))
-    assert np.isfinite(identified).all()
+    assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0, 200.0]))).all()
 
 
 def test_a_run_that_was_interrupted_is_the_start_of_a_longer_one(
@@ -143,8 +142,7 @@ def test_ctrl_c_in_robustness(
         run("robustness", config, tmp_path / "x")
     assert stop.value.code == 130
     assert "3 interrupted" in capsys.readouterr().out
-    told = json.loads((tmp_path / "x" / "robustness.json").read_text())
-    assert told["outcomes"] == {"interrupted": 3}
+    assert json.loads((tmp_path / "x" / "robustness.json").read_text())["outcomes"] == {"interrupted": 3}
     assert {"robustness.json", "robustness.csv", "figures"} <= names_in(tmp_path / "x")
 
 

@@ -163,8 +163,7 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
 
 def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     config = compose_config(BALL).machine.rotor
-    heavier = config.model_copy(update={"shear_effects": False})
-    assert hash_rotor(config) != hash_rotor(heavier)
+    assert hash_rotor(config) != hash_rotor(config.model_copy(update={"shear_effects": False}))
     places = [tmp_path / name for name in ("here.toml", "there.toml", "other.toml")]
     for place, text in zip(places, ("rotor", "rotor", "another"), strict=True):
         place.write_text(text)

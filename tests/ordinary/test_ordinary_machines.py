@@ -152,8 +152,7 @@ def test_the_answers_of_a_search_are_mixed(answer: tuple[Any, Any]) -> None:
     """
     searched = answer[0].start.searched
     best = np.diag(np.linspace(0.1, 1.0, searched.covariance.shape[-1])) * 1e-3
-    mixed = searched.mix(best)
-    assert np.linalg.eigvalsh(mixed).min() > 0
+    assert np.linalg.eigvalsh(searched.mix(best)).min() > 0
     alone = replace(searched, shares=np.eye(len(searched.shares))[0])
     np.testing.assert_array_equal(alone.mix(best), best)
     shares = np.zeros(len(searched.shares))
@@ -192,8 +191,7 @@ def test_the_readings_without_noise_are_explained(study: Any, measurement: tuple
     # The outputs take the order of the unknowns, kxx kxy kyx kyy cxx ..; coordinates have one of their own.
     order = list_places(measured.unknowns.names)
     weights = torch.as_tensor(at_nodes[..., order].swapaxes(1, 2).reshape(1, 1, -1).copy())
-    problem = output_error(replace(measured, parameters=()), basis, 1.0)
-    assert float(problem.loss(weights)) < 0.5
+    assert float(output_error(replace(measured, parameters=()), basis, 1.0).loss(weights)) < 0.5
 
 
 def test_simulated_readings_without_noise_are_no_trap(measurement: tuple[Any, Any]) -> None:

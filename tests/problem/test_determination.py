@@ -119,5 +119,4 @@ def test_the_fit_ends_at_the_deviations_that_were_foretold(
         assert wider > 1.4 * foretold
         assert found_wider > 1.4 * found
     assert "at 1 % noise, smooth functions over all speeds: all well determined" in capsys.readouterr().out
-    rows = pd.read_csv(tmp_path / "stated" / "diagnosis.csv")
-    assert set(rows["kxx_verdict"]) == {"well determined"}
+    assert set(pd.read_csv(tmp_path / "stated" / "diagnosis.csv")["kxx_verdict"]) == {"well determined"}

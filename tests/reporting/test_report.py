@@ -112,8 +112,7 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     assert "Author" not in text
     assert_says(text, "<dt>Customer</dt><dd>C &amp; D</dd>", "Words &lt; here.", "First &lt;/script&gt; section")
     assert 'data-value="6.0"' in text  # 3 um zero-to-peak
-    amplitude = panels[0]["traces"][-1]
-    assert amplitude["y"][0] == pytest.approx(2.0)
+    assert panels[0]["traces"][-1]["y"][0] == pytest.approx(2.0)
     assert panels[2]["traces"][-1]["x"][0] == pytest.approx(1.0)  # the place on an orbit is not doubled
 
 

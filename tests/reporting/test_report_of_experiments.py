@@ -78,8 +78,7 @@ def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
     figures += ["spectra", "centreline", "held-out"] if name == "measured_demo" else []
     for figure in figures:
         assert f'id="figure-{figure}"' in text, figure
-    fingerprint = json.loads((ARTIFACTS / name / "training.json").read_text())["data_fingerprint"]
-    assert fingerprint in text
+    assert json.loads((ARTIFACTS / name / "training.json").read_text())["data_fingerprint"] in text
     assert_says(text, "±", "verification")
     asked = ["What was asked?", "What is the answer?", "What may be relied on?", "What is to be done next?"]
     first = text[text.index('<section id="answer">') :]

@@ -193,8 +193,7 @@ def subclasses(kind: type) -> Iterator[type]:
 
 def test_every_class_of_element_has_a_case() -> None:
     named = {one.__name__ for one in subclasses(RS.element.Element) if one.__module__.startswith("ross.")}
-    concrete = {name for name in named if hasattr(RS, name)}
-    assert concrete == SAME.keys() | UNSAVED.keys()
+    assert {name for name in named if hasattr(RS, name)} == SAME.keys() | UNSAVED.keys()
 
 
 # Of ROSS's magnetic, tilting pad, damper and fluid flow bearings.

@@ -64,8 +64,7 @@ def test_clearances_and_oil_from_run_ups_whose_oil_warms(tmp_path: Path) -> None
     """No point is in two runs, and the truth of the machine is in four deviations of what is found."""
     config = record(tmp_path)
     ingest.run(Analysis(config))
-    summary = read_json(tmp_path / "out" / "ingest.json")
-    assert summary["operating"] == {"oil_temperature_degC": [40.0, 66.0]}
+    assert read_json(tmp_path / "out" / "ingest.json")["operating"] == {"oil_temperature_degC": [40.0, 66.0]}
     train.run(Analysis(config))
     told = read_json(tmp_path / "out" / "training.json")
     found = {name: (one["value"], one["deviation"]) for name, one in told["physical_numbers"].items()}

@@ -358,8 +358,7 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
             process.kill()
             process.wait()
     assert outputs == [("[]\n", "")] * 2
-    logged = Logged(at(f"sqlite:///{tmp_path}/mlflow.db"))
-    assert {run.info.run_name for run in logged.runs} == {"a", "b"}
+    assert {run.info.run_name for run in Logged(at(f"sqlite:///{tmp_path}/mlflow.db")).runs} == {"a", "b"}
     assert not list(tmp_path.glob("mlflow.db-new*"))
 
 

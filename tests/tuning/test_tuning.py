@@ -44,8 +44,7 @@ def untuned(*overrides: str) -> Config:
 def test_trial_0_is_the_configured_default(name: str) -> None:
     """The default's parameters stand for the very configuration that they were read from."""
     config = untuned(f"experiment={name}")
-    parameters = find_default(config)
-    assert apply_values(config, translate(config.tuning.space, parameters), "default") == config
+    assert apply_values(config, translate(config.tuning.space, find_default(config)), "default") == config
 
 
 class Draws:

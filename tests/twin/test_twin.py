@@ -172,8 +172,7 @@ def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
     speeds = np.linspace(10, 100, 10)
     above, below = np.full(10, 200.0), np.full(10, 5.0)
     jumping = np.where(speeds < 55, 40.0 + speeds, 20.0)
-    missing = np.full(10, np.nan)
-    assert find_critical_speeds(made_modes(speeds, below, jumping, above, missing)) == []
+    assert find_critical_speeds(made_modes(speeds, below, jumping, above, np.full(10, np.nan))) == []
 
 
 @pytest.mark.parametrize("critical", [10.0, 50.0, 90.0])
