@@ -20,10 +20,10 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1655,
+    "config": 1671,
     "laws": 487,
     "rotor": 693,
-    "data": 1064,
+    "data": 1066,
     "sweep": 249,
     "ingest": 1398,
     "problem": 1687,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17848, 14500),
+    "statements of pipeline/": (17866, 14500),
     "files": (266, 250),
     "classes": (323, 260),
     "is None, is not None": (344, 420),

@@ -97,7 +97,16 @@ def store_folder(folder: Path) -> None:
 # --- YAML ----------------------------------------------------------------------------------------
 
 
-def _read_yaml(path: Path, what: str) -> dict[str, Any]:
+def _count_nodes(node: Any, known: dict[int, int]) -> int:
+    """How many values a YAML node has once its aliases are written out."""
+    if id(node) not in known:
+        inside = node.value if isinstance(getattr(node, "value", None), list) else ()
+        pairs = (pair if isinstance(pair, tuple) else (pair,) for pair in inside)
+        known[id(node)] = 1 + sum(_count_nodes(child, known) for pair in pairs for child in pair)
+    return known[id(node)]
+
+
+def _read_yaml(path: Path, what: str, most: int = 100_000) -> dict[str, Any]:
     """The keys of a YAML file, as Hydra would read them. Raises ConfigError."""
     import yaml
     from omegaconf import DictConfig, OmegaConf
@@ -108,7 +117,10 @@ def _read_yaml(path: Path, what: str) -> dict[str, Any]:
         more = f": name one of its files ({', '.join(sorted(inside)[:5])})" if inside else ""
         raise ConfigError(f"{what} must be a file, but '{path}' is a folder{more}")
     try:
-        read = OmegaConf.create(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if _count_nodes(yaml.compose(text, yaml.SafeLoader), {}) > most:
+            raise ValueError(f"its aliases make more than {most} values")
+        read = OmegaConf.create(text)
     except FileNotFoundError:
         beside = sorted(file.name for file in path.parent.glob("*.yaml"))
         hint = f": {nearest(path.name, beside)}" if beside else ""
@@ -131,6 +143,11 @@ def _read_yaml(path: Path, what: str) -> dict[str, Any]:
     plain = OmegaConf.to_container(read, resolve=False) if isinstance(read, DictConfig) else None
     if not isinstance(plain, dict) or all(value is None for value in plain.values()):
         raise ConfigError(f"{what} must have keys with values, such as `rotor:`, but '{path}' has none")
+    asked = re.search(r"\$\{[^{}]*:[^}]*\}", str(plain))
+    if asked:  # such as ${oc.env:NAME}: what is read there would stand in every result
+        raise ConfigError(
+            f"{what} must refer to its own keys alone, but '{path}' has {asked[0]}: write the value itself"
+        )
     return {str(key): value for key, value in plain.items()}
 
 

@@ -39,11 +39,18 @@ def to_si(value: Any, unit: Any, example: str) -> float:
     return float(value)
 
 
-def _parse(text: str, unit: Any, example: str) -> float:
+_POWER = r"(?:\*\*|\^)\s*"
+_TOWER = re.compile(rf"{_POWER}(?![-+(]*\d{{1,2}}\b)|{_POWER}[-+(]*\w+\)*\s*{_POWER}")
+"""A power of more than two digits, or of a power: such a number has no end."""
+
+
+def _parse(text: str, unit: Any, example: str, longest: int = 100) -> float:
     import pint
 
     if is_number(text):
         return float(text)
+    if len(text) > longest or _TOWER.search(text):
+        raise ValueError(f"must be a quantity (such as {example}), but got {text[:longest]!r}")
     units = _load_units()
     temperature = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg[CF]|°[CF])\s*", text)
     try:

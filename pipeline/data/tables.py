@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -41,6 +42,8 @@ class _Table(NamedTuple):
     decimal: str = "."
 
 
+_FORMULA = re.compile(r"^('?)([=+@\t\r].*|-(?![\d.]+(?:[eE][-+]?\d+)?$).*)", re.S)
+"""What a spreadsheet would compute; an apostrophe before it makes it text, which is no part of it."""
 PLAIN = CsvConfig()
 """All of it recognised."""
 
@@ -78,7 +81,8 @@ def read_table(
             column = table[names.index(name)]
             if kind == "text":
                 column = column if isinstance(column, np.ndarray | Sequence) else _to_array(column)
-                columns_read[name] = np.array(["" if value is None else str(value) for value in column], dtype=object)
+                texts = ["" if value is None else _FORMULA.sub(r"\2", str(value)) for value in column]
+                columns_read[name] = np.array(texts, dtype=object)
             else:
                 columns_read[name] = _to_numbers(path, name, column, kind, first, decimal)
     return columns_read
@@ -352,7 +356,9 @@ def write_table(
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     # A float as its shortest text that reads back to the same bits.
     texts = [
-        ["" if value is None or value != value else str(value) for value in column.tolist()]
+        ["" if value is None or value != value else _FORMULA.sub(r"'\2", str(value)) for value in column.tolist()]
+        if column.dtype.kind in "OU"
+        else ["" if value != value else str(value) for value in column.tolist()]
         for column in columns.values()
     ]
     with path.open("w", newline="", encoding="utf-8") as file:

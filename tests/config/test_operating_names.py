@@ -58,6 +58,7 @@ def test_sections_of_conditions_are_in_si() -> None:
         ({"oil_temperature": []}, "must have values that differ"),
         ({"colour": [1]}, "a last word that says what it is (temperature, pressure"),
         ({"load": [True]}, "must be a quantity"),
+        ({"load": ["9**9**9**9 N"]}, "must be a quantity"),
         ({"load": ["inf N"]}, "must be"),
         ([1], "must be conditions by name"),
     ],
