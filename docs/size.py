@@ -25,7 +25,7 @@ STATEMENTS = {
     "rotor": 693,
     "data": 1066,
     "sweep": 249,
-    "ingest": 1398,
+    "ingest": 1400,
     "problem": 1687,
     "identification": 2636,
     "evaluation": 226,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17866, 14500),
+    "statements of pipeline/": (17868, 14500),
     "files": (266, 250),
     "classes": (323, 260),
     "is None, is not None": (344, 420),

@@ -30,6 +30,7 @@ _MEANINGS = {
     "speed": {"rpm|1/min|min-1|cpm": "rpm", "hz": "Hz", "rad/s": "rad/s"},
 }
 """Key of the conventions -> words that mean each of its values."""
+_RPM = {"Hz": 60.0, "rad/s": 30 / np.pi}
 _PHASE = "phase|phs|ph|angle|deg|degrees?|lag|lead"
 _SPEED = "speed|rpm|drehzahl|1/min|min-1|cpm|frequency|freq|hz|rad/s"
 _TACHO = "tacho|tach|trigger|trig|key|keyphasor|kph"
@@ -80,7 +81,7 @@ def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "r
         for probe, name in probes.items()
     }
     guesses |= {"columns": f"{{speed: {_write(speed)}}}", "probes": _list_probes(seen)}
-    return "tables", guesses | {"speeds": _find_speeds(runs, speed)}
+    return "tables", guesses | {"speeds": _find_speeds(runs, speed, _RPM.get(guesses["speed"], 1.0))}
 
 
 def _list_columns(path: Path) -> dict[str, str]:
@@ -124,9 +125,10 @@ def _list_runs(runs: Mapping[str, tuple[Path, str | None]], baseline: str, folde
     return "".join(lines)
 
 
-def _find_speeds(runs: Mapping[str, tuple[Path, str | None]], column: str) -> str:
-    """The range that all have, in the usual step of the first; in the unit of the file."""
-    every = [np.unique(read_table(p, {column: "number"}, text=PLAIN.on(sheet))[column]) for p, sheet in runs.values()]
+def _find_speeds(runs: Mapping[str, tuple[Path, str | None]], column: str, rpm: float) -> str:
+    """The range that all have, in the usual step of the first; the file's unit is so many ``rpm``."""
+    tables = [read_table(path, {column: "number"}, text=PLAIN.on(sheet)) for path, sheet in runs.values()]
+    every = [rpm * np.unique(table[column]) for table in tables]
     start, stop = max(float(speeds[0]) for speeds in every), min(float(speeds[-1]) for speeds in every)
     step = float(np.median(np.diff(every[0]))) if len(every[0]) > 1 else 1.0
     return f"{{start_rpm: {start:g}, stop_rpm: {stop:g}, step_rpm: {step:g}}}"
