@@ -38,7 +38,7 @@ FAST = [
     "comparison.speeds=[4,12]",
     "comparison.data_sets=2",
 ]
-WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/comparison.png"}
+WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/comparison.png", "log.txt"}
 
 
 def setup_of(**changed: Any) -> Machine:

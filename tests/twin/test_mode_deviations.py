@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import Machine
 
-from pipeline.reporting.summary import _describe_stability
+from pipeline.reporting.summary import describe_stability
 from pipeline.reporting.twin import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
@@ -251,7 +251,7 @@ def test_a_mode_near_critical_damping_widens_no_margin() -> None:
     assert growth is not None
     assert found == pytest.approx(0.006, rel=0.15)
     assert growth < 1.0
-    assert "0.0600 +- 0.0060 at" in _describe_stability(summarize_modes(behaviour, 1000.0)["stability"])
+    assert "0.0600 +- 0.0060 at" in describe_stability(summarize_modes(behaviour, 1000.0)["stability"])
 
 
 @pytest.mark.parametrize(
@@ -265,6 +265,6 @@ def test_a_growth_is_judged_with_its_deviation(growth: float, deviation: float, 
     deviations = ModeDeviations(modes, empty, empty, np.zeros((1, 1, 1)), np.ones((1, 1)), np.diag([deviation**2]))
     behaviour = Behaviour(modes, deviations)
     assert behaviour.stability == verdict
-    assert ("UNSTABLE" in _describe_stability(summarize_modes(behaviour, 1000.0)["stability"])) is (
+    assert ("UNSTABLE" in describe_stability(summarize_modes(behaviour, 1000.0)["stability"])) is (
         verdict == "unstable"
     )
