@@ -8,14 +8,11 @@ leave here as :class:`~pipeline.errors.ConfigError`: the law, what came, the nex
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pipeline.config.loader import (
     STAGES,
@@ -106,28 +103,31 @@ def _insert_runs(mapping: Mapping[str, Any]) -> Mapping[str, Any]:
     return dict(mapping) | {"machine": dict(section) | read}
 
 
-def _follow_data(machine: Any, data: Any) -> Any:
+def _follow_data(machine: Any, data: Any) -> dict[str, Any]:
     """``machine`` with the speeds and runs of vibration that ``data`` names, where it gives none, and the vibration has
-    no frequency of its own. Raises DataError for files that can't be read."""
-    from pipeline.data.excitation_files import read_excitations
-    from pipeline.data.tables import list_columns, read_table
-
+    no frequency of its own. Raises DataError for files that can't be read.
+    """
     vibration, excitation = (data.get(key) for key in ("vibration", "excitation"))
-    asked = {"speeds", "runs"} - {key for key, value in machine.items() if value}
-    if not (vibration and excitation and asked) or "frequency_hz" in list_columns(Path(vibration)):
-        return machine
-    rpm = np.unique(read_table(Path(vibration), {"speed_rpm": "number"})["speed_rpm"])
+    asked = [key for key in ("speeds", "runs") if not machine.get(key)]
+    if not (vibration and excitation and asked):
+        return dict(machine)
+    import numpy as np
+
+    from pipeline.data.excitation_files import read_excitations
+    from pipeline.data.tables import read_table
+
+    columns = read_table(Path(vibration), {"speed_rpm": "number"}, {"frequency_hz": "number or blank"})
+    if "frequency_hz" in columns:
+        return dict(machine)
+    rpm, runs = np.unique(columns["speed_rpm"]), dict[str, dict[str, Any]]()
     step = float(np.median(np.diff(rpm))) if len(rpm) > 1 else 1.0
-    runs: dict[str, dict[str, Any]] = {}
     for acting in read_excitations(Path(excitation)):
-        what = {"node": acting.node, "magnitude": acting.magnitude, "phase": f"{math.degrees(acting.phase)} deg"}
+        what = {"node": acting.node, "magnitude": acting.magnitude, "phase": f"{np.degrees(acting.phase)} deg"}
         what |= {"whirl": acting.whirl} if acting.kind == "force" else {}
         if acting.magnitude:
             runs.setdefault(acting.run, {"name": acting.run}).setdefault(f"{acting.kind}s", []).append(what)
-    read = {
-        "speeds": {"start_rpm": float(rpm[0]), "stop_rpm": float(rpm[-1]), "step_rpm": step},
-        "runs": list(runs.values()),
-    }
+    speeds = {"start_rpm": float(rpm[0]), "stop_rpm": float(rpm[-1]), "step_rpm": step}
+    read = {"speeds": speeds, "runs": list(runs.values())}
     return dict(machine) | {key: read[key] for key in asked}
 
 

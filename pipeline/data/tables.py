@@ -353,14 +353,15 @@ def write_table(
     return write_beside(path, lambda beside: _write_csv(beside, columns))
 
 
+def _write_cell(value: Any) -> str:
+    """A float as its shortest text that reads back to the same bits."""
+    if isinstance(value, str):
+        return _FORMULA.sub(r"'\2", value)
+    return "" if value is None or value != value else str(value)
+
+
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    # A float as its shortest text that reads back to the same bits.
-    texts = [
-        ["" if value is None or value != value else _FORMULA.sub(r"'\2", str(value)) for value in column.tolist()]
-        if column.dtype.kind in "OU"
-        else ["" if value != value else str(value) for value in column.tolist()]
-        for column in columns.values()
-    ]
+    texts = [[_write_cell(value) for value in column.tolist()] for column in columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)

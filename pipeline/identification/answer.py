@@ -66,8 +66,8 @@ def restore(
     told = np.diag(uncertainty.covariance)[uncertainty.places.coefficients].reshape(n_active, -1)[:, :count] > 0
     rows, aims = map(torch.as_tensor, uncertainty.functions)
     basis = Basis(identified.model, identified.parameters, torch.as_tensor(uncertainty.weights), 0)
-    measurement = replace(measurement, as_found=tuple(uncertainty.as_found.tolist()))
-    made = output_error(measurement.with_laws(identified.laws), basis, uncertainty.plane_scale)
+    measurement = measurement.with_laws(identified.laws).with_as_found(tuple(uncertainty.as_found.tolist()))
+    made = output_error(measurement, basis, uncertainty.plane_scale)
     functions = Prior(rows, torch.zeros_like(aims))
     problem = replace(made, kept=torch.as_tensor(told), precision=precision, functions=functions)
     weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)

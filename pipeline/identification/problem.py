@@ -35,6 +35,7 @@ from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_te
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
+from pipeline.problem.baseline import find_baseline
 from pipeline.problem.measurement import Measurement
 
 if TYPE_CHECKING:
@@ -393,11 +394,8 @@ class OutputError(LeastSquares):
         """The same with the machine's unbalance as the weights (1, 1, Z) make it of the baseline that was taken off."""
         made = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)[0]
         measurement, values = self.measurement, self.model_parameters(weights)[0].numpy()
-        found = measurement.update(values).find_baseline(measurement.table(made[0].numpy())).as_found
-        if found == measurement.as_found:
-            return self
-        solved = vars(measurement).get("response")
-        return replace(self, sensors=sensor_model(replace(measurement, as_found=found, solved=solved)))
+        found = find_baseline(measurement.update(values), measurement.table(made[0].numpy()))
+        return replace(self, sensors=sensor_model(measurement.with_as_found(found))) if found else self
 
     def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
         """The problem as one of another ``kind``, with these ``changes``."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.model_parameters import BASELINE
 from pipeline.problem.response import (
@@ -306,5 +307,5 @@ def sensor_model(measurement: Measurement) -> SensorModel:
     """That of a measurement, at the values of its model parameters."""
     import torch
 
-    whole = measurement.with_baseline()
+    whole = add_baseline(measurement)
     return SensorModel(measurement, whole, tuple(block.converted(torch.as_tensor) for block in whole.response.blocks))

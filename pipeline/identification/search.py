@@ -195,7 +195,8 @@ def search(
     coarse: float = 0.5,
 ) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
-    stated one at least. Directions of the priors whose deviation is ``small`` are left out at first.
+    stated one at least. Directions of the priors whose deviation is ``small`` are left out at first, and so are
+    tolerances of runs; where that leaves the readings farther off than noise over ``coarse``, no choice stays dropped.
 
     Where the best leaves deviations that wander over the speed, the search is repeated with noise that does.
     """
@@ -205,27 +206,15 @@ def search(
     main = choices.root.norm(dim=1).amax(dim=0) > small
     started, y = _descend(Whitened(rough, replace(choices, root=choices.root[..., main])), seed)
     likely = choices.select([choices.families.index(families) for families in started.choices.families])
-    whitened, share = Whitened(problem, likely), 1.0
+    whitened = Whitened(problem, likely)
     # What the simpler problem lacks is as it was before the data.
     kept_rest = torch.ones(problem.places.n_rest - len(parameters), dtype=torch.bool)
     lifted = torch.zeros(len(y), 1, whitened.size, dtype=y.dtype)
     lifted[..., torch.cat([main, kept_rest, parameters])] = y
-    y = lifted
-    simply = min(_noise(whitened, y), 1.0)
-    for turn in range(6):
-        whitened, y, _ = _rank(whitened, y, kept)
-        problem = problem.with_baseline(whitened.weights(y)[:1])
-        left = _noise(replace(whitened, problem=problem), y)
-        settled = turn > 0 and abs(np.log(left / share)) < 0.1
-        share = min(left, most_exact)
-        whitened = replace(whitened, problem=problem.scaled(share))
-        if settled and simply < coarse:
-            whitened, y = _take_up(whitened, choices, y)
-            simply = 1.0
-            continue
-        y = whitened.minimise(y, 1e-4, steps=20)
-        if settled:
-            break
+    explained = _noise(whitened, lifted)
+    problem, whitened, y = _settle(problem, whitened, lifted, kept, most_exact)
+    if explained < coarse:  # the simpler problem could not tell which choices to drop
+        problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
     whitened, y, evidence = _rank(whitened, y, kept)
     if not problem.readings.tied:
         best = replace(whitened.problem, functions=whitened.choices.functions())
@@ -236,6 +225,24 @@ def search(
     covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
     normalised = np.asarray((shares / shares.sum()).numpy())
     return Searched(whitened.choices, whitened.weights(y), covariance, normalised, problem)
+
+
+def _settle(
+    problem: OutputError, whitened: Whitened, y: torch.Tensor, kept: int, most_exact: float, turns: int = 5
+) -> tuple[OutputError, Whitened, torch.Tensor]:
+    """The ``problem`` with the baseline, and the likeliest minima, at the noise that the best of them leaves, once that
+    changes by less than a tenth.
+    """
+    share = np.inf
+    for _ in range(turns):
+        whitened, y, _ = _rank(whitened, y, kept)
+        problem = problem.with_baseline(whitened.weights(y)[:1])
+        before, share = share, min(_noise(replace(whitened, problem=problem), y), most_exact)
+        whitened = replace(whitened, problem=problem.scaled(share))
+        y = whitened.minimise(y, 1e-4, steps=20)
+        if abs(share / before - 1) < 0.1:
+            break
+    return problem, whitened, y
 
 
 def _take_up(whitened: Whitened, choices: Choices, y: torch.Tensor) -> tuple[Whitened, torch.Tensor]:
@@ -295,7 +302,8 @@ def _descend(
     y[:n_choices] = 0.0
     y[..., starts.size - starts.problem.places.n_rest :] = 0.0
     for share, steps, most in stages:
-        share = min(share, _noise(starts, y) ** 2) if share == 1.0 else share
+        if share == 1.0:  # what the problem can't explain is noise, too
+            share = min(share, _noise(starts, y) ** 2)
         tempered = replace(starts, problem=whitened.problem.scaled(share**0.5))
         tempered, y, _ = _rank(tempered, tempered.minimise(y, 1e-2, steps), most)
         starts = replace(starts, choices=tempered.choices)

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import CoefficientName
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.condition_noise import NO_LEVELS, ConditionNoise
 from pipeline.problem.force_parameters import bow_force, update_excitations
-from pipeline.problem.model_parameters import BASELINE, known_change, runout, sensor_matrix, turns_with_rotor
+from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
@@ -239,62 +239,9 @@ class Measurement:
         """(R,) mask of the runs that turn with the rotor."""
         return turns_with_rotor(self.dataset)
 
-    def find_baseline(self, bearings: BearingTable, least: float = 1e-2) -> Measurement:
-        """The same with :attr:`as_found` as ``bearings``, at the same speeds, make it of the baseline.
-
-        By least squares over all speeds, each reading over its noise, beside what a probe shows at every speed
-        (runout); distributions that show ``least`` of what the clearest does are left out. Where bearings drift, the
-        baseline's response is not wholly taken off.
-        """
-        data, nodes = self.dataset, tuple(range(self.rotor.n_nodes))
-        if data.subtracted is None or not self._drifts:
-            return self
-        turning = np.flatnonzero(self.synchronous())
-        run = turning[data.present[:, turning].sum(axis=0).argmax()]
-        scale = np.ones((len(bearings.nodes), 1, 1))
-        for parameter, value in zip(self.parameters, self.parameter_values, strict=True):
-            if (parameter.kind, parameter.detail) == ("bearing_drift", BASELINE):
-                scale[parameter.place] += value * parameter.deviation
-        alone = replace(self, unknowns=replace(self.unknowns, planes=nodes), as_found=())
-        by_unbalance = alone.response.derive_by_unbalance(replace(bearings, values=bearings.values * scale))[:, :, run]
-        by_runout = np.broadcast_to(np.eye(len(data.channels)), (len(data.speeds), *[len(data.channels)] * 2))
-        seen = data.present[:, run]
-        weight = 1 / self.deviation_of(self.baseline)[seen, :, run, None]
-        parts = [(by[seen] * weight).reshape(seen.sum() * len(data.channels), -1) for by in (by_unbalance, by_runout)]
-        sizes = [np.linalg.norm(part) / np.sqrt(part.shape[1]) for part in parts]
-        columns = np.concatenate([part / size for part, size in zip(parts, sizes, strict=True)], axis=1)
-        solved = np.linalg.lstsq(columns, (self.baseline[seen, :, run, None] * weight).ravel(), rcond=least)[0]
-        found = tuple((solved[: len(nodes)] / sizes[0]).tolist())
-        return replace(self, as_found=found, solved=vars(self).get("response"))
-
-    @property
-    def _drifts(self) -> bool:
-        return any(parameter.kind == "bearing_drift" for parameter in self.parameters)
-
-    def with_baseline(self) -> Measurement:
-        """The same with the unbalance :attr:`as_found` in the runs that turn, and the baseline as a last run, whose
-        response is to be taken off theirs; as it is where no bearing drifts. Readings of the baseline are zero.
-        """
-        data = self.dataset
-        if not self.as_found or data.subtracted is None or not self._drifts:
-            return self
-        runs = (*(run for run, turns in zip(data.runs, self.synchronous(), strict=True) if turns), BASELINE)
-        found = tuple(
-            Excitation(run, "unbalance", node, abs(unbalance), float(np.angle(unbalance)))
-            for run in runs
-            for node, unbalance in enumerate(self.as_found)
-        )
-        whole = replace(
-            data,
-            runs=(*data.runs, BASELINE),
-            displacement=np.concatenate([data.displacement, np.zeros_like(data.displacement[..., :1])], axis=-1),
-            excitations=(*data.excitations, *found),
-            own_frequencies=np.concatenate([data.frequencies, data.speeds[:, None]], axis=1),
-            subtracted=None,
-            conditions=None,
-            present=np.concatenate([data.present, data.present.any(axis=1, keepdims=True)], axis=1),
-        )
-        return replace(self, dataset=whole, drift=NO_LEVELS, as_found=())
+    def with_as_found(self, unbalance: tuple[complex, ...]) -> Measurement:
+        """The same where the baseline shows this unbalance of the machine, which leaves the response of the runs."""
+        return replace(self, as_found=unbalance, solved=vars(self).get("response"))
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

@@ -71,7 +71,7 @@ def log_steps(folder: Path) -> Iterator[None]:
         return True
 
     handler.addFilter(make_folder)
-    logging.raiseExceptions = False  # a full disk is no traceback
+    raised, logging.raiseExceptions = logging.raiseExceptions, False  # a full disk is no traceback
     _STEPS.setLevel(logging.INFO)
     _STEPS.propagate = False
     _STEPS.addHandler(handler)
@@ -81,6 +81,7 @@ def log_steps(folder: Path) -> Iterator[None]:
         _STEPS.removeHandler(handler)
         with suppress(OSError):  # what can't be written is said of the results
             handler.close()
+        logging.raiseExceptions = raised
 
 
 @contextmanager

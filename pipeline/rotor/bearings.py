@@ -88,6 +88,7 @@ class _Bearing(Section):
 
     def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
         """ROSS's element at ``speeds`` (S,) rad/s, ascending, of a kind that :meth:`tabulate` has no numbers of."""
+        # Kinds that tabulate themselves are never asked: this names one that does neither.
         raise NotImplementedError(f"{type(self).__name__} has coefficients of its own")
 
 

@@ -39,4 +39,4 @@ def test_the_door_opens_when_it_is_used() -> None:
 
     assert callable(pipeline.fit)
     with pytest.raises(AttributeError, match="no attribute 'fitt'"):
-        pipeline.fitt  # noqa: B018
+        pipeline.fitt  # noqa: B018  # looking it up is what raises
