@@ -43,7 +43,7 @@ class Uncertainty:
     functions: tuple[np.ndarray, np.ndarray]  # rows (N, A K) and aims (N,) of a prior of functions; N = 0 for none
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
-    as_found: np.ndarray  # (D,) complex, kg m: that of the baseline which was taken off; D = 0 where bearings stay
+    as_found: np.ndarray  # complex, kg m at each node, what the baseline shows; empty where no bearing drifts
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
