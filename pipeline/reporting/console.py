@@ -55,7 +55,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> 
         _open_console(False).print(drawn, markup=False, crop=False)
 
 
-_STEPS = logging.getLogger(__name__)
+_STEPS = logging.Logger(__name__)  # noqa: LOG001 - none of the shared tree: Optuna's tables disable every one in it
 """What long steps have done."""
 
 
@@ -72,8 +72,6 @@ def log_steps(folder: Path) -> Iterator[None]:
 
     handler.addFilter(make_folder)
     raised, logging.raiseExceptions = logging.raiseExceptions, False  # a full disk is no traceback
-    _STEPS.setLevel(logging.INFO)
-    _STEPS.propagate = False
     _STEPS.addHandler(handler)
     try:
         yield

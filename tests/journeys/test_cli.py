@@ -237,7 +237,9 @@ def test_each_job_has_a_folder_named_by_what_was_swept(
     assert [config.output for config in runs] == [f"artifacts/ball_bearing/seed-{seed}" for seed in (1, 2)]
     assert "-> artifacts/ball_bearing/seed-2\n" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["artifacts"]
-    assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
+    assert {path.name for path in (tmp_path / "artifacts").iterdir()} == {".multirun", "ball_bearing"}
+    written = [p.relative_to(tmp_path) for p in tmp_path.glob("artifacts/ball_bearing/**/*") if p.is_file()]
+    assert {str(p) for p in written} == {f"artifacts/ball_bearing/seed-{seed}/config.yaml" for seed in (1, 2)}
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import ANSWER, DATA, assert_says
-from running import FEW_SPEEDS, python
+from running import FEW_SPEEDS, names_in, python
 
 from pipeline.__main__ import main
 from pipeline.identification.storage import load_model
@@ -50,7 +50,7 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
     answers = []
     for seed in range(3):
         here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
-        assert {path.name for path in here.iterdir()} == DATA | ANSWER | {"config.yaml"}
+        assert names_in(here) == DATA | ANSWER | {"config.yaml"}
         told = [json.loads((folder / "training.json").read_text()) for folder in (here, there)]
         assert (told[0]["seed"], told[0]["steps"]) == (seed, told[1]["steps"])
         np.testing.assert_allclose(told[0]["held_out_loss"], told[1]["held_out_loss"], rtol=1e-6)
