@@ -47,6 +47,7 @@ TROUBLE: dict[str, dict[str, Any]] = {
     "gain": {"gain": 0.02},
     "angle": {"angle": 2.0},
     "load_direction": {"load_angle": 20.0},
+    "theory": {"off_theory": 0.15},
 }
 """What is silently wrong, by name; the amounts were set before the first machine was drawn."""
 
@@ -259,6 +260,7 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     generator, config = np.random.default_rng([seed, 12]), compose_real(drawn)
     trouble, built = drawn.trouble, config.machine.as_built
     bearings = _turn(_load_bearings(config), trouble.get("load_angle", 0.0))
+    bearings = _leave_theory(bearings, trouble.get("off_theory", 0.0), np.random.default_rng([seed, 14]))
     rotor = load_rotor(config.machine.rotor) if built is None else build_rotor(config.machine.rotor, built)
     felt = bearings if built is None else stand_on_pedestals(bearings, built)
     acting: dict[str, list[Excitation]] = {run["name"]: [] for run in drawn.stated["runs"]}
@@ -291,6 +293,15 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
         steps[s] = correlation * steps[s - 1] + np.sqrt(1 - correlation**2) * steps[s]
     deviation = np.sqrt(drawn.floor**2 + (noise * np.abs(exact)) ** 2)
     return replace(data, displacement=exact + deviation * steps), felt
+
+
+def _leave_theory(bearings: BearingTable, share: float, generator: np.random.Generator) -> BearingTable:
+    """Every coefficient off by a smooth factor of its own: of this share, over half of the range of speeds alike."""
+    place = (bearings.speeds - bearings.speeds[0]) / np.ptp(bearings.speeds)
+    alike = np.exp(-0.5 * ((place[:, None] - place) / 0.5) ** 2) + 1e-8 * np.eye(len(place))
+    draw = generator.standard_normal((len(place), len(bearings.nodes) * len(COEFFICIENTS)))
+    off = (np.linalg.cholesky(alike) @ draw).T.reshape(len(bearings.nodes), len(COEFFICIENTS), -1).swapaxes(1, 2)
+    return replace(bearings, values=bearings.values * np.exp(share * off))
 
 
 def _turn(bearings: BearingTable, degrees: float) -> BearingTable:
