@@ -84,6 +84,11 @@ class Deviations:
         sizes = measure_sizes(self.table.values)
         return np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0)
 
+    @property
+    def lost(self) -> np.ndarray:
+        """(B, S, 8) bool: where it is not determined; nowhere of what has no deviation."""
+        return np.isfinite(self.values) & ~(self.relative < WEAKLY_BELOW)
+
     def judge(self) -> tuple[Determined, ...]:
         """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
         relative, judged = self.relative[:, self.table.bounded], []

@@ -16,11 +16,13 @@ from pipeline.data.operating import split_states
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
+from pipeline.problem.determination import Deviations
 from pipeline.reporting.blocks import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
 
 KINDS = {"k": "stiffness", "c": "damping"}
+BAND = "nominal 95 %, alone where not determined"
 UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
 """What SI is multiplied by, and the name of the unit."""
 
@@ -83,14 +85,21 @@ class Coefficients:
     def draw(
         self, b: int, name: str, label: str, look: tuple[str, str], scale: float, count: int = 15, line: bool = False
     ) -> list[Curve]:
-        """The truth as a line, identified values with their nominal 95 % band as markers (or a ``line``)."""
+        """The truth as a line, identified values with their nominal 95 % band as markers (or a ``line``).
+
+        Where the data do not determine the coefficient the band is drawn alone, since the prior made what is in it.
+        """
         c, (colour, marker) = COEFFICIENTS.index(name), look
         values, known = scale * self.identified.values[b, :, c], name not in self.unknowns[b]
         if known:
             return [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")] if values.any() else []
         band = NOMINAL_95 * scale * self.deviation[b, :, c]
-        drawn = Curve(self.rpm, values, label, colour) if line else mark(self.rpm, values, label, colour, marker, count)
-        key = [Curve(NOTHING, NOTHING, "nominal 95 %", GREY, filled=True)] if np.isfinite(band).any() else []
+        lost = Deviations(self.identified, self.deviation, "").lost[b, :, c]
+        given = np.where(lost, np.nan, values)
+        drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
+        if lost.all():
+            drawn = Curve(NOTHING, NOTHING, f"{label}: not determined", colour, filled=True)
+        key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(band).any() else []
         return [
             Curve(self.rpm, values, "", colour, "none", band=band),
             Curve(self.rpm, scale * self.modelled[b, :, c], "modelled", BLACK, width=1.2),

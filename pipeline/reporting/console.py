@@ -55,7 +55,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> 
         _open_console(False).print(drawn, markup=False, crop=False)
 
 
-_STEPS = logging.Logger(__name__)  # noqa: LOG001 - none of the shared tree: Optuna's tables disable every one in it
+_STEPS = logging.Logger(__name__)  # none of the shared tree, whose loggers Optuna's tables disable
 """What long steps have done."""
 
 

@@ -12,7 +12,7 @@ from warm_rotor import CELSIUS, SPEEDS, warm_bearings, warm_machine
 
 from pipeline.reporting import coefficient_figures, measured_figures
 from pipeline.reporting.blocks import Curve, Figure
-from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients, pick_states
+from pipeline.reporting.coefficient_figures import BAND, Coefficients, draw_coefficients, pick_states
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.measured_figures import draw_bode
 
@@ -52,7 +52,7 @@ def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path:
     assert len(lines) == 5 * len(CELSIUS)
     for line in lines:
         np.testing.assert_allclose(line.x, SPEED_RPM)
-    assert [key.label for key in drawn[0].legend()] == ["45 degC", "55 degC", "65 degC", "nominal 95 %"]
+    assert [key.label for key in drawn[0].legend()] == ["45 degC", "55 degC", "65 degC", BAND]
 
 
 @pytest.mark.slow
@@ -68,6 +68,18 @@ def test_one_letter_has_the_errors_below(drawn: list[Figure], tmp_path: Path) ->
     draw_coefficients(tmp_path / "c.png", Coefficients.collect(bearings, modelled, [["kxx"], ["kyy"]], None), "c")
     titles = [panel.title for panel in drawn[1].panels]
     assert titles == [f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")]
+
+
+@pytest.mark.parametrize("lost", [slice(0, 3), slice(None)])
+def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: slice) -> None:
+    bearings = table()
+    deviation = 0.1 * np.abs(bearings.values)
+    deviation[0, lost, 0] *= 4  # kxx is zero to within 2.5 deviations
+    shown = Coefficients.collect(bearings, None, NAMES, deviation)
+    band, _, drawn, _ = shown.draw(0, "kxx", "kxx identified", ("blue", "o"), 1.0, 99)
+    assert np.isfinite(band.band).all()
+    expected = np.isin(np.arange(len(shown.rpm)), np.arange(len(shown.rpm))[lost])
+    assert len(drawn.y) == 0 if expected.all() else (np.isnan(drawn.y) == expected).all()
 
 
 def test_of_many_states_some_are_drawn_the_first_and_last_among_them() -> None:
