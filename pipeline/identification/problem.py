@@ -436,7 +436,11 @@ def invert(information: torch.Tensor) -> np.ndarray:
 
     size = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
     scaled = information / size[..., :, None] / size[..., None, :]
-    values, vectors = torch.linalg.eigh(scaled)
-    values = values.clamp(min=float(np.finfo(float).eps) * 10)
-    inverse = (vectors / values[..., None, :]) @ vectors.mT
+    factor, failed = torch.linalg.cholesky_ex(scaled)
+    if failed.any():
+        values, vectors = torch.linalg.eigh(scaled)
+        values = values.clamp(min=float(np.finfo(float).eps) * 10)
+        inverse = (vectors / values[..., None, :]) @ vectors.mT
+    else:
+        inverse = torch.cholesky_inverse(factor)  # in an eighth of the time
     return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())
