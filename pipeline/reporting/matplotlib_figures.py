@@ -139,7 +139,8 @@ def _draw_key(curve: Curve) -> Any:
 def _make_room(drawing: Any, drawn: Sequence[Any], edge: float, apart: float = 0.015) -> None:
     """Narrow the axes of a panel where words at their ticks would reach beyond its ``edge``, a share of the width."""
     renderer, whole = drawing.canvas.get_renderer(), drawing.bbox.width
-    lack = edge + apart - min(ax.get_tightbbox(renderer).x0 for ax in drawn) / whole
+    outer = [axis for ax in drawn for axis in (ax.yaxis, *((ax.xaxis,) if ax.name == "polar" else ()))]
+    lack = edge + apart - min(axis.get_tightbbox(renderer).x0 for axis in outer) / whole
     for ax in drawn if lack > 0 else ():
         box = ax.get_position()
         ax.set_position((box.x0 + lack, box.y0, box.width - lack, box.height))
