@@ -124,7 +124,7 @@ def refit(
     sensors = fit_sensors(measurement, setup)
     fitted, unknowns = conclude(sensors), measurement.unknowns
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
-    deviation = answer.deviation(truth)
+    deviation = answer.deviation_at(truth)
     assert deviation is not None
 
     def list_active(values: np.ndarray) -> np.ndarray:

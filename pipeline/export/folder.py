@@ -152,7 +152,7 @@ def export_at(config: Config, answer: Answer, operating: Mapping[str, float]) ->
     """The answer at one state, at each speed of the data."""
     table = evaluate_at(answer.model, answer.measurement, operating, _KEY)[1]
     identified = answer.model.unknowns.identified
-    return Exported(config.name, table, answer.deviation(table), identified, config.export.units, operating)
+    return Exported(config.name, table, answer.deviation_at(table), identified, config.export.units, operating)
 
 
 def write_exports(

@@ -235,11 +235,13 @@ class LawTerm:
         import torch
 
         if model.parametrisation == "impedance":
-            places, order = list_places(model.unknowns), [COEFFICIENTS.index(name) for name in model.unknowns]
+            places = torch.tensor(list_places(model.unknowns))
+            order = torch.tensor([COEFFICIENTS.index(name) for name in model.unknowns])
             coordinates = outputs.new_zeros(*outputs.shape[:-1], len(COEFFICIENTS))
             coordinates[..., places] = outputs
             values, slopes = to_coefficients(coordinates, torch.as_tensor(self.points[SPEED]))
-            return values[..., order], slopes[..., order, :][..., places], outputs.new_zeros(*outputs.shape, 0)
+            slopes = slopes.index_select(-2, order).index_select(-1, places)
+            return values.index_select(-1, order), slopes, outputs.new_zeros(*outputs.shape, 0)
         if not self.laws:
             values, by_output = model.physical(outputs, scale)
             return values, torch.diag_embed(by_output), outputs.new_zeros(*outputs.shape, 0)

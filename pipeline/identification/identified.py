@@ -139,7 +139,12 @@ class Answer:
         """All eight coefficients at the points of the data."""
         return self.model.table(self.measurement.updated_known)
 
-    def deviation(self, table: BearingTable) -> np.ndarray | None:
+    @cached_property
+    def deviation(self) -> np.ndarray | None:
+        """(B, S, 8) standard deviations at the points of the data."""
+        return self.deviation_at(self.table)
+
+    def deviation_at(self, table: BearingTable) -> np.ndarray | None:
         """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
         stated = self.uncertainty
         return None if stated is None else stated.deviation(self.model, table.speeds, table.operating)

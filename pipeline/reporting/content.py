@@ -63,14 +63,10 @@ class FitContent:
     modelled: BearingTable | None  # the truth, where there is one
     training: Mapping[str, Any]  # training.json
 
-    def collect(self, table: BearingTable, modelled: BearingTable | None = None) -> Coefficients:
-        """The coefficients of a ``table`` with their deviations."""
-        return Coefficients.collect(table, modelled, self.answer.names, self.answer.deviation(table))
-
     @cached_property
     def coefficients(self) -> Coefficients:
         """At the points of the data."""
-        return self.collect(self.answer.table, self.modelled)
+        return Coefficients.collect(self.answer.table, self.modelled, self.answer.names, self.answer.deviation)
 
     @cached_property
     def at_conditions(self) -> Coefficients:
@@ -79,7 +75,8 @@ class FitContent:
         if self.twin is None:
             data = self.answer.measurement.dataset
             return self.coefficients.at(find_nearest(data.speeds, data.operating, self.operating)[1])
-        return self.collect(self.twin.systems["identified"])
+        table = self.twin.systems["identified"]
+        return Coefficients.collect(table, None, self.answer.names, self.answer.deviation_at(table))
 
     @cached_property
     def predicted(self) -> np.ndarray:

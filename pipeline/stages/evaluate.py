@@ -41,7 +41,7 @@ from pipeline.twin.prediction import compare_held_out
 def run(analysis: Analysis) -> StageOutput:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     config, files, answer = analysis.config, analysis.files, restore(analysis)
-    table, names, deviation = answer.table, answer.names, answer.deviation(answer.table)
+    table, names, deviation = answer.table, answer.names, answer.deviation
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
     conventional = diagnosis.answer if diagnosis.by_least_squares else None

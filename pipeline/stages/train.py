@@ -60,7 +60,7 @@ def run(analysis: Analysis) -> StageOutput:
 
 def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
     """Posterior ones, of a loss that states them; else those that were expected."""
-    values, stated = answer.deviation(answer.table), describe_noise(analysis.config)
+    values, stated = answer.deviation, describe_noise(analysis.config)
     if values is None:
         expected = expect(analysis)
         return replace(expected, of=f"at {stated}, {expected.of}")
@@ -86,7 +86,7 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
     }
     return [
         *model,
-        write_coefficients(work.identified, answer.table, deviation=answer.deviation(answer.table)),
+        write_coefficients(work.identified, answer.table, deviation=answer.deviation),
         write_table(work.folder / "bad_points.csv", tabulate_bad_points(fitted)),
         write_table(work.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
         write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted.parameters)),
