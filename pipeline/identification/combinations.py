@@ -17,11 +17,12 @@ import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
 from pipeline.identification.output_error_start import prepare_output_error
-from pipeline.identification.problem import OutputError, invert, output_error
+from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
+from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
     import torch

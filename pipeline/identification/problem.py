@@ -37,6 +37,7 @@ from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
 from pipeline.problem.baseline import find_baseline
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
     import torch
@@ -428,19 +429,3 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
         plane_scale=plane_scale,
         law=law_term(measurement.laws, measurement.unknowns, points),
     )
-
-
-def invert(information: torch.Tensor) -> np.ndarray:
-    """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the weights; large where nothing is known."""
-    import torch
-
-    size = information.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
-    scaled = information / size[..., :, None] / size[..., None, :]
-    factor, failed = torch.linalg.cholesky_ex(scaled)
-    if failed.any():
-        values, vectors = torch.linalg.eigh(scaled)
-        values = values.clamp(min=float(np.finfo(float).eps) * 10)
-        inverse = (vectors / values[..., None, :]) @ vectors.mT
-    else:
-        inverse = torch.cholesky_inverse(factor)  # in an eighth of the time
-    return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())

@@ -27,7 +27,8 @@ from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.identification.blocks import Basis
 from pipeline.identification.linear_start import robust_start
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
-from pipeline.identification.problem import OutputError, invert
+from pipeline.identification.problem import OutputError
+from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
     import torch
@@ -201,9 +202,7 @@ class Evidence(NamedTuple):
 
     def posterior(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (Z,) and covariance (Z, Z) of the weights for a ``sigma`` (A,)."""
-        import torch
-
-        spread = invert(torch.as_tensor(self.data + np.diag(self.precision(sigma))))
+        spread = invert(self.data + np.diag(self.precision(sigma)))
         return spread @ self.right, spread
 
     def precision(self, sigma: np.ndarray) -> np.ndarray:

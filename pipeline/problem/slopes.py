@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +84,17 @@ def prior_information(measurement: Measurement, of_numbers: np.ndarray) -> np.nd
     return np.concatenate([of_numbers, nothing, unit])
 
 
-def invert(information: np.ndarray) -> np.ndarray:
-    """(Z, Z) covariance, whatever the sizes of the numbers; large where nothing is known."""
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    inverse = vectors / np.maximum(values, 10 * np.finfo(float).eps) @ vectors.T
-    return np.asarray(inverse / np.outer(size, size))
+def invert(information: np.ndarray | torch.Tensor) -> np.ndarray:
+    """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the numbers; large where nothing is known."""
+    import torch
+
+    matrix = torch.as_tensor(information)
+    size = matrix.diagonal(dim1=-2, dim2=-1).clamp(min=1e-300).sqrt()
+    scaled = matrix / size[..., :, None] / size[..., None, :]
+    factor, failed = torch.linalg.cholesky_ex(scaled)
+    if failed.any():
+        values, vectors = torch.linalg.eigh(scaled)
+        inverse = (vectors / values[..., None, :].clamp(min=10 * torch.finfo(values.dtype).eps)) @ vectors.mT
+    else:
+        inverse = torch.cholesky_inverse(factor)  # in an eighth of the time
+    return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())

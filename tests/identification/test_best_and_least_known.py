@@ -12,11 +12,11 @@ from small_rotor import FITTED, small_machine
 from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
 from pipeline.identification.output_error_start import prepare_output_error
-from pipeline.identification.problem import invert
 from pipeline.identification.training import setup_of
 from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
+from pipeline.problem.slopes import invert
 from pipeline.reporting.diagnosis import describe_combinations, summarize_combinations
 from pipeline.rotor.parameters import ModelParameter
 
