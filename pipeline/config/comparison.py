@@ -98,7 +98,3 @@ class ComparisonConfig(Section):
             yield "trained must have loss=response with hidden: trained"
         if (self.law.loss.kind, self.law.model.kind) != ("response", "law"):
             yield "law must have loss=response and model=law"
-
-    def data_sets_of(self, method: MethodName) -> int:
-        """How many data sets a method gets at most."""
-        return self.most_data_sets.get(method, self.data_sets)

@@ -21,9 +21,17 @@ SPEED = "speed"
 
 
 def scale_inputs(
-    names: Sequence[str], ranges: Sequence[tuple[float, float]], logarithmic: bool, points: Mapping[str, np.ndarray]
+    names: Sequence[str],
+    ranges: Sequence[tuple[float, float]],
+    logarithmic: bool,
+    points: Mapping[str, np.ndarray],
+    wide: float = 1.5,
 ) -> torch.Tensor:
-    """(S, inputs) in [-1, 1] over the ``ranges``, from ``points``: name -> (S,), SI. Raises DataError for a lack."""
+    """(S, inputs) in [-1, 1] over the ``ranges``, from ``points``: name -> (S,), SI. Raises DataError for a lack.
+
+    The speed counts by its logarithm where that is asked for, and so does an operating condition that varies by the
+    factor ``wide`` or more: a load acts as a power, while an oil temperature in kelvin varies by a few percent.
+    """
     import torch
 
     lacking = [name for name in names if name not in points]
@@ -34,18 +42,12 @@ def scale_inputs(
         )
     columns = []
     for name, span in zip(names, ranges, strict=True):
-        transform = np.log if logarithmic and _counts_by_logarithm(name, span) else np.asarray
+        as_power = name == SPEED or (span[0] > 0 and span[1] / span[0] >= wide)
+        transform = np.log if logarithmic and as_power else np.asarray
         low, high = (float(transform(edge)) for edge in span)
         half = (high - low) / 2 or 1.0
         columns.append((transform(np.asarray(points[name], dtype=float)) - low) / half - 1.0)
     return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
-
-
-def _counts_by_logarithm(name: str, span: tuple[float, float], wide: float = 1.5) -> bool:
-    """The speed does; and an operating condition that varies by the factor ``wide`` or more: a load acts as a power,
-    while an oil temperature in kelvin varies by a few percent.
-    """
-    return name == SPEED or (span[0] > 0 and span[1] / span[0] >= wide)
 
 
 def trend_terms(

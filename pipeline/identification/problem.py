@@ -265,10 +265,12 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        if self._is_dense:
+        readings = self.readings
+        # Noise may tie more than neighbouring speeds at which every run was measured.
+        if readings.mixing or (readings.tied and not self.measurement.dataset.complete):
             columns = self.columns(weights)
             return columns.mT @ columns
-        products, beside, tie = [], [], self.readings.correlation
+        products, beside, tie = [], [], readings.correlation
         for rows in self._local(weights):
             local = rows.flatten(2, 3)
             parts = torch.cat([local.real, local.imag], dim=2)
@@ -283,11 +285,6 @@ class OutputError(LeastSquares):
         diagonal = torch.cat([alone[:, :1], inner, alone[:, -1:]], dim=1) / (1 - tie**2)
         across = self._spread(-tie / (1 - tie**2) * torch.stack(beside).sum(0), weights, 1)
         return self._spread(diagonal, weights) + across + across.mT
-
-    @property
-    def _is_dense(self) -> bool:
-        """Whether noise ties more than neighbouring speeds at which every run was measured."""
-        return bool(self.readings.mixing) or (self.readings.tied and not self.measurement.dataset.complete)
 
     def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:
         """(G, Z + 1, Z + 1) from products (G, S, A + .. + 1, A + .. + 1) of each speed, or of each with the one before

@@ -38,7 +38,10 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
     table(
         f"{name}: standard deviation of least squares at {noise}, % of the coefficient",
         header,
-        [[key, *(_write_share(source[key]) for source in sources)] for key in sources[0]],
+        [
+            [key, *("free" if (share := s[key]) is None else write_number(100 * share, digits=2) for s in sources)]
+            for key in sources[0]
+        ],
     )
     say(f"{name}: the best {len(runs)} runs are {', '.join(runs)}")
     if summary["gain"] is None:
@@ -46,10 +49,6 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
         return
     confirmed = f" (in simulations {write_number(summary['simulated_gain'], digits=3)} times)" if simulated else ""
     say(f"they lower the worst deviation {write_number(summary['gain'], digits=3)} times{confirmed}")
-
-
-def _write_share(share: float | None) -> str:
-    return "free" if share is None else write_number(100 * share, digits=2)
 
 
 # --- to a stated accuracy ----------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.comparison.cases import Machine, Result, choose_main_case, list_cases
+from pipeline.comparison.cases import Machine, choose_main_case, list_cases
 from pipeline.comparison.runner import compare
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
@@ -37,12 +37,18 @@ def run(analysis: Analysis) -> StageOutput:
         (method, case)
         for case in list_cases(asked, n_speeds)
         for method in asked.methods
-        if case.data_set < asked.data_sets_of(method)
+        if case.data_set < asked.most_data_sets.get(method, asked.data_sets)
     ]
     try:
         with count_progress(config.name, len(runs)) as show:
             results = compare(
-                machine, runs, folder / "comparison", lambda done, _, result: show(done, _name_result(result))
+                machine,
+                runs,
+                folder / "comparison",
+                lambda done, _, result: show(
+                    done,
+                    f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s",
+                ),
             )
     except KeyboardInterrupt:
         say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
@@ -58,10 +64,6 @@ def run(analysis: Analysis) -> StageOutput:
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageOutput(summary, tags, written)
-
-
-def _name_result(result: Result) -> str:
-    return f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s"
 
 
 def build_machine(config: Config) -> Machine:

@@ -52,7 +52,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
     analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
     names, judged = ["ingest", "diagnosis"], None
     if fit is not None:
-        attempt(_require_errors, analysis, "errors", missing)
+        attempt(lambda this: this.require("evaluate", work.metrics, behind=work.training), analysis, "errors", missing)
         names = [*names, *(() if "errors" in missing else ("metrics",))]
         judged = attempt(load_judgement, analysis, "verdicts", missing)
     contents = {name: work.folder / f"{name}.json" for name in names}
@@ -72,11 +72,6 @@ def collect_content(analysis: Analysis) -> ReportContent:
         ),
         missing=missing,
     )
-
-
-def _require_errors(analysis: Analysis) -> None:
-    """Evaluate first where that is missing or older than the fit."""
-    analysis.require("evaluate", analysis.files.metrics, behind=analysis.files.training)
 
 
 def _read_fit(analysis: Analysis, missing: dict[str, str]) -> FitContent | None:
