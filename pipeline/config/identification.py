@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.coefficients import CoefficientName
 from pipeline.config.operating import Conditions
-from pipeline.config.quantities import Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
+from pipeline.config.quantities import Damping, Length, Mass, PositiveAngle, RotorSpeed, Stiffness, WeightLaw
 from pipeline.config.section import NonNegativeInt, Once, Section, Share, ascending, rule
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
@@ -63,9 +63,10 @@ class IdentifyConfig(Section):
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and probes
     (loss ``response``); a coupling that they name acts at ``coupling_node``. ``known_within`` is a factor: so near to
-    their initial guess coefficients are expected, one standard deviation of the logarithm (loss ``response``). With
-    ``usual_tolerances`` what is never known exactly of shaft, weights and probes, and is not among the model
-    parameters, widens all deviations.
+    ``known_stiffness`` and ``known_damping`` (null: to their initial guess, from which the fit only starts otherwise)
+    coefficients are expected, one standard deviation of the logarithm (loss ``response``). With ``usual_tolerances``
+    what is never known exactly of shaft, weights and probes, and is not among the model parameters, widens all
+    deviations.
     """
 
     unknowns: Unknowns = Field(min_length=1)
@@ -76,6 +77,8 @@ class IdentifyConfig(Section):
     coupling_node: NonNegativeInt = 0
     usual_tolerances: bool = True
     known_within: Annotated[float, Field(gt=1)] | None = None
+    known_stiffness: Stiffness | None = None
+    known_damping: Damping | None = None
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @rule

@@ -108,6 +108,7 @@ def fit_from(
     choice: int = 1,
     no_worse: float = 2.0,
     least_noise: float = 0.1,
+    astray: float = 1e-2,
 ) -> OutputErrorFit:
     """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision.
 
@@ -117,6 +118,8 @@ def fit_from(
         no_worse: so many times the loss before, dropping them may raise it to.
         least_noise: of the stated one, where noise is estimated and nodes over the speed carry the coefficients, which
             follow no curve exactly: data without noise would be fitted by tolerances instead.
+        astray: so much above the loss to first order of the model parameters, that of the rotor solved anew shows that
+            they lead astray: from then on the rotor is solved at every step.
     """
     problem, weights = start.problem, start.weights
     if start.from_guess:
@@ -125,12 +128,13 @@ def fit_from(
         problem = with_sigma(problem)
     factor = np.ones(len(start.measurement.dataset.channels))
     minimum: Minimum | None = None
+    exact = False
     near = near or start.searched is not None
     approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
     selects = not problem.law.laws and not start.by_evidence and start.searched is None
     for turn in range(-len(approach), rounds):
         less = problem.scaled(approach[turn]) if turn < 0 else problem
-        last = minimise(less, weights, setup, progress=progress)
+        last = minimise(replace(less, exact=exact), weights, setup, progress=progress)
         minimum, weights = last.after(minimum) if minimum else last, last.parameters
         if minimum.outcomes[0] is Outcome.INTERRUPTED:
             break
@@ -139,7 +143,8 @@ def fit_from(
         problem = problem.update(weights)
         if turn < 0:
             continue
-        before = problem
+        before, first_order = problem, exact
+        exact = exact or (turn > choice and float(problem.loss(weights)) > (1 + astray) * float(last.loss[0]))
         problem = reweigh(problem, weights, factor, setup.loss.robust)
         if start.searched is not None and setup.loss.noise == "estimated":
             correlation, size = estimate_correlation(problem, weights)
@@ -153,7 +158,7 @@ def fit_from(
                 problem, weights = chosen, restart
         if turn == choice and selects:
             problem = problem.with_prior(setup.loss.beyond_trend)
-        if turn > choice and _change(problem, before) < settled:
+        if turn > choice and exact == first_order and _change(problem, before) < settled:
             break
     assert minimum is not None, "there are rounds"
     return OutputErrorFit(start=start, problem=problem, minimum=minimum, factor=factor)

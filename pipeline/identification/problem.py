@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -61,6 +61,7 @@ class OutputError(LeastSquares):
     law: LawTerm  # what the model's outputs correct
     functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
+    exact: bool = False  # the rotor is solved for any weights (1, 1, Z), not to first order about those of the last
 
     @property
     def measurement(self) -> Measurement:
@@ -190,7 +191,8 @@ class OutputError(LeastSquares):
 
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block."""
-        return self.sensors.predict(self.unknowns(weights)[0], self.unbalance(weights), self.model_parameters(weights))
+        sensors, parameters = (self.update(weights) if self.exact else self).sensors, self.model_parameters(weights)
+        return sensors.predict(self.unknowns(weights)[0], self.unbalance(weights), parameters)
 
     def displacement(self, weights: torch.Tensor) -> np.ndarray:
         """(S, P, R) m as the data set has them, of the weights (1, 1, Z)."""
@@ -214,9 +216,10 @@ class OutputError(LeastSquares):
         import torch
 
         values, slope, by_numbers = self.unknowns(weights)
+        sensors = (self.update(weights) if self.exact else self).sensors
         unbalance, parameters = self.unbalance(weights), self.model_parameters(weights)
         for b, precision in enumerate(self.readings.precision):
-            expected, by_unknowns, by_planes, by_parameters = self.sensors.derive(b, values, unbalance, parameters)
+            expected, by_unknowns, by_planes, by_parameters = sensors.derive(b, values, unbalance, parameters)
             by_pairs = self.plane_scale * torch.stack([by_planes, 1j * by_planes], dim=-1).flatten(-2)
             by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
             by_outputs = by_unknowns @ slope.to(by_unknowns.dtype)[:, :, None]
@@ -405,8 +408,13 @@ class OutputError(LeastSquares):
         """
         if not self.places.n_parameters:
             return self
-        values = self.model_parameters(weights)[0].numpy()
-        return replace(self, sensors=sensor_model(self.measurement.update(values)))
+        return replace(self, sensors=_solve(self.measurement, tuple(self.model_parameters(weights)[0].tolist())))
+
+
+@lru_cache(maxsize=2)
+def _solve(measurement: Measurement, values: tuple[float, ...]) -> SensorModel:
+    """At these model parameters; kept, since a step is judged and then begun there."""
+    return sensor_model(measurement.update(np.array(values)))
 
 
 def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:

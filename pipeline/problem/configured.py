@@ -220,7 +220,11 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         known,
         stated,
         unknowns,
-        Guess(model.initial_stiffness, model.initial_damping, identify.known_within),
+        Guess(
+            identify.known_stiffness or model.initial_stiffness,
+            identify.known_damping or model.initial_damping,
+            identify.known_within,
+        ),
         drift=drift,
         laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),
         parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -125,6 +126,7 @@ def bow_force(parameters: Sequence[ModelParameter], values: np.ndarray, rotor: R
     return total
 
 
+@lru_cache(maxsize=16)
 def _bend(rotor: RotorModel, node: int, direction: int) -> np.ndarray:
     """(n,) N: the force that bends the shaft by 1 m at the node, held at its bearings, with what holds it there."""
     held = bearing_dof(rotor).ravel()

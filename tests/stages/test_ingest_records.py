@@ -12,10 +12,12 @@ from running import composed, names_in, strict_json
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import PipelineError
+from pipeline.identification.fit import fit_sensors
+from pipeline.identification.training import setup_of
 from pipeline.reporting.run_up_tables import compare_identified
 from pipeline.stages import run_stage
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.measurement import load_dataset, restore
+from pipeline.stages.measurement import load_dataset, load_measurement, restore
 
 pytestmark = pytest.mark.slow
 
@@ -50,6 +52,17 @@ NEEDED = (
     *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "training.json"),
     *("model.json", "model.safetensors", "uncertainty.safetensors"),
 )
+
+
+@pytest.mark.parametrize("guess", ["1e4 N/m", "1e8 N/m"])
+def test_the_guess_only_starts_the_fit(artifacts: Artifacts, tmp_path: Path, guess: str) -> None:
+    """Two orders to either side of the configured one the same minimum, in which the rotor was solved."""
+    config = config_of(artifacts.copied("rk4", NEEDED[:3], tmp_path), f"model.initial_stiffness={guess}")
+    fit = fit_sensors(load_measurement(config), setup_of(config))
+    solved = fit.problem.update(fit.weights)
+    assert float(solved.loss(fit.weights)) == pytest.approx(0.4305217, rel=1e-6)
+    stiffness = solved.unknowns(fit.weights)[0][0, 0, [0, 1, 4, 5]].numpy()
+    assert stiffness == pytest.approx([7.05e5, 3.26e6, 2.23e5, 3.68e5], rel=0.03)
 
 
 def test_a_run_up_after_a_fit_is_held_against_it(
