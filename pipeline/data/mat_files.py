@@ -35,7 +35,7 @@ def open_measured(path: Path, kind: str, next_step: str = "copy it again") -> It
     require_file(path)
     try:
         yield
-    except DataError:
+    except (DataError, ImportError):
         raise
     except Exception as error:  # scipy, h5py, nptdms, pyuff, pyarrow and openpyxl raise many kinds
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]

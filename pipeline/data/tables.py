@@ -119,7 +119,7 @@ def list_sheets(path: Path) -> list[str | None]:
 
 
 def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    read, *kind = _READERS.get(path.suffix.lower(), _CSV)
+    read, *kind = _READERS.get(path.suffix.lower(), (_read_csv, "CSV table", _NEXT))
     with open_measured(path, *kind):
         return read(path, columns, text)
 
@@ -285,11 +285,7 @@ _READERS: dict[str, tuple[_Reader, str, str]] = {
     ".mat": (_read_mat, "complete MAT file", "copy it again"),
 }
 """By a file's ending: its reader, what it reads and the next step where it can't; any other is CSV."""
-_CSV = (
-    _read_csv,
-    "CSV table",
-    "its format can be stated (csv: {encoding, delimiter, decimal, skip_rows, unit_rows}); copy it again if it was cut",
-)
+_NEXT = "its format can be stated: csv: {encoding, delimiter, decimal, skip_rows, unit_rows}"
 
 
 def is_csv(path: Path) -> bool:

@@ -203,6 +203,7 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of parts that hold no samples
+        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         rate, samples = wavfile.read(path)
         every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
         for name in names:
