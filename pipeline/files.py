@@ -20,8 +20,10 @@ from typing import Any
 from pipeline.errors import DataError, StorageError
 
 
-def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
+def write_beside(path: Path, write: Callable[[Path], object], mode: int = 0o666) -> Path:
     """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
+
+    Nobody has more rights than ``mode`` says.
 
     Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left
     behind.
@@ -31,6 +33,7 @@ def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
         with _explain_storage(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             _clear(path.parent)
+            beside.touch(mode)
             write(beside)
             with beside.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -150,14 +153,8 @@ def keep(kind: str, key: str, content: bytes, most: int = 300) -> None:
 
     Nothing is raised where that can't be done.
     """
-
-    def write(beside: Path) -> None:
-        """For this user alone: the folder may be everybody's."""
-        beside.touch(0o600)
-        beside.write_bytes(content)
-
     with contextlib.suppress(StorageError, OSError):
-        path = write_beside(CACHE / kind / key, write)
+        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(content), 0o600)
         entries = sorted(path.parent.iterdir(), key=lambda entry: entry.stat().st_mtime)
         for entry in entries[:-most]:
             entry.unlink(missing_ok=True)

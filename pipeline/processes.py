@@ -119,9 +119,7 @@ def ask_aside(function: str, question: str, seconds: float, memory: float) -> by
 
     Raises RuntimeError with what the function raised, or that it ended the interpreter.
     """
-    process = _open_aside()
-    assert process.stdin
-    assert process.stdout
+    process: Any = _open_aside()  # both of its pipes are there
     try:
         process.stdin.write(json.dumps([function, question, seconds, memory]).encode() + b"\n")
         process.stdin.flush()

@@ -42,6 +42,14 @@ def open_measured(path: Path, kind: str, next_step: str = "copy it again") -> It
         raise DataError(f"'{path}' must be a {kind}, but it can't be read as one ({reason}): {next_step}") from None
 
 
+def require_names(path: Path, what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise DataError for the first of ``names`` that a file lacks; it has the ``known``."""
+    every = list(known)
+    for name in names:
+        if name not in every:
+            raise DataError(f"'{path}' must have the {what} '{name}', but it has not: {nearest(name, every)}")
+
+
 def require_room(path: Path, asked: float, most: float = 1e8, times: float = 100.0) -> None:
     """Raise DataError where a file asks for more bytes than ``most`` and than so many ``times`` its own.
 
@@ -84,7 +92,7 @@ def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: flo
 
     room = memory + times * path.stat().st_size
     content = load(ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, room))
-    texts = json.loads(content.pop(_TEXTS).tobytes())
+    texts = json.loads(content.pop("#").tobytes())
     return content | {name: np.array(values, dtype=object) for name, values in texts.items()}
 
 
@@ -95,11 +103,8 @@ def pack_old(path: str) -> bytes:
 
     every = dict(_walk(loadmat(path, simplify_cells=True)))
     texts = {name: every.pop(name).tolist() for name in list(every) if every[name].dtype.kind in "UO"}
-    every[_TEXTS] = np.frombuffer(json.dumps(texts, default=str).encode(), np.uint8)
+    every["#"] = np.frombuffer(json.dumps(texts, default=str).encode(), np.uint8)
     return save({name: np.ascontiguousarray(values) for name, values in every.items()})  # it takes the rows as they lie
-
-
-_TEXTS = "#"
 
 
 def _walk(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
@@ -144,16 +149,17 @@ def _open_hdf5(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
         file.visititems(lambda name, item: every.update({name.replace("/", "."): item}))
 
         def read(item: Any) -> Any:
-            """A text, the texts of a cell array or numbers; empty for what else lies in a cell array."""
-            if isinstance(item, h5py.Group):
-                return np.empty(0)
+            """A text, the texts of a cell array (empty for what else lies there), or numbers."""
             require_values(path, item)
             kind, values = item.attrs.get("MATLAB_class", b"double"), np.asarray(item[()]).T  # columns first
             if kind == b"char":
                 return "".join(chr(code) for code in values.reshape(-1))
             if values.dtype == h5py.ref_dtype:
-                texts = [file[reference] for reference in values.reshape(-1)]
-                return np.array([read(text) if text.dtype != h5py.ref_dtype else "" for text in texts], dtype=object)
+                cells = [file[reference] for reference in values.reshape(-1)]
+                return np.array(
+                    [read(cell) if hasattr(cell, "dtype") and cell.dtype != h5py.ref_dtype else "" for cell in cells],
+                    dtype=object,
+                )
             return values
 
         return {

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, recognize_csv
-from pipeline.data.mat_files import open_measured, read_mat, require_room, require_unpacked
-from pipeline.errors import DataError, nearest
+from pipeline.data.mat_files import open_measured, read_mat, require_names, require_room, require_unpacked
+from pipeline.errors import DataError
 from pipeline.files import write_beside
 
 if TYPE_CHECKING:
@@ -65,9 +65,7 @@ def read_table(
     """
     names, table, first, decimal = _read_any(path, columns, text)
     counts = Counter(names)
-    for name in columns:
-        if name not in counts:
-            raise DataError(f"'{path}' must have the column '{name}', but it has not: {nearest(name, names)}")
+    require_names(path, "column", columns, names)
     if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
     columns_read: Columns = {}
@@ -119,7 +117,10 @@ def list_sheets(path: Path) -> list[str | None]:
 
 
 def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    read, *kind = _READERS.get(path.suffix.lower(), (_read_csv, "CSV table", _NEXT))
+    stated = "{encoding, delimiter, decimal, skip_rows, unit_rows}"
+    read, *kind = _READERS.get(
+        path.suffix.lower(), (_read_csv, "CSV table", f"its format can be stated: csv: {stated}")
+    )
     with open_measured(path, *kind):
         return read(path, columns, text)
 
@@ -218,8 +219,7 @@ def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
     with open_measured(path, "complete Excel file (.xlsx)"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and validations, which hold no data
         book = _open_book(path)
-        if text.sheet and text.sheet not in book.sheetnames:
-            raise DataError(f"'{path}' must have the sheet '{text.sheet}': {nearest(text.sheet, book.sheetnames)}")
+        require_names(path, "sheet", [text.sheet] if text.sheet else (), book.sheetnames)
         sheet = book[text.sheet or book.sheetnames[0]]
         sheet.reset_dimensions()  # what other programs write there may be wrong
         rows, cells = [], 0
@@ -285,7 +285,6 @@ _READERS: dict[str, tuple[_Reader, str, str]] = {
     ".mat": (_read_mat, "complete MAT file", "copy it again"),
 }
 """By a file's ending: its reader, what it reads and the next step where it can't; any other is CSV."""
-_NEXT = "its format can be stated: csv: {encoding, delimiter, decimal, skip_rows, unit_rows}"
 
 
 def is_csv(path: Path) -> bool:
@@ -319,12 +318,10 @@ def read_marks(path: Path) -> dict[str, str] | None:
     import pyarrow.lib
     import pyarrow.parquet as parquet
 
-    if path.suffix != ".parquet":
-        return None
-    try:
-        return _decode_marks(parquet.read_schema(path).metadata)
-    except (OSError, ValueError, pyarrow.lib.ArrowException):
-        return None  # a damaged file says so when its rows are read
+    with suppress(OSError, ValueError, pyarrow.lib.ArrowException):  # a damaged file says so when its rows are read
+        if path.suffix == ".parquet":
+            return _decode_marks(parquet.read_schema(path).metadata)
+    return None
 
 
 def _decode_marks(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:

@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig
-from pipeline.data.mat_files import open_measured, read_mat, require_room, require_unpacked, require_values
+from pipeline.data.mat_files import (
+    open_measured,
+    read_mat,
+    require_names,
+    require_room,
+    require_unpacked,
+    require_values,
+)
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, nearest
 
@@ -164,9 +171,8 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
             raise DataError(f"'{path}' must be a complete TDMS file, but its last segment is cut: copy it again")
         every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         channels, rates = {}, set()
+        require_names(path, "channel", names, every)
         for name in names:
-            if name not in every:
-                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
             require_room(path, 8 * len(every[name]))
             channels[name] = np.asarray(every[name][:], dtype=float)
             step = float(every[name].properties.get("wf_increment", 0.0))
@@ -185,9 +191,7 @@ def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Chann
     with ZipFile(path) as file:
         stored = [name.removesuffix(".npy") for name in file.namelist()]
         wanted = (*names, *([rate] if rate else []))
-        for name in wanted:
-            if name not in stored:
-                raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, stored)}")
+        require_names(path, "array", wanted, stored)
         every = {name: np.lib.format.read_array(file.open(f"{name}.npy")) for name in wanted}
         for name in names:
             if every[name].ndim != 1 or every[name].dtype.kind not in "iuf":
@@ -206,9 +210,7 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         rate, samples = wavfile.read(path)
         every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
-        for name in names:
-            if name not in every:
-                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
+        require_names(path, "channel", names, every)
         middle, full = 0.0, 1.0
         if samples.dtype.kind != "f":
             limits = np.iinfo(samples.dtype)
