@@ -140,13 +140,13 @@ def ask_aside(function: str, question: str, seconds: float, memory: float) -> by
 @cache
 def _open_aside() -> subprocess.Popen[bytes]:
     """It ends with this process, which closes its pipes then; Ctrl-C is for this one alone."""
-    package = str(Path(__file__).parents[1])
     return subprocess.Popen(
         [
             sys.executable,
             "-P",
             "-c",
-            f"import sys; sys.path.insert(0, {package!r}); import {__name__} as p; p.answer()",
+            f"import sys; sys.path.insert(0, sys.argv[1]); import {__name__} as p; p.answer()",
+            str(Path(__file__).parents[1]),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -169,8 +169,7 @@ def _parse_numbers(column: Any) -> Sequence[Any] | np.ndarray:
         values = _to_array(column.cast("float64"))
         if np.isfinite(values).all():
             return values
-    texts: list[Any] = column.to_pylist()
-    return texts
+    return list(column.to_pylist())
 
 
 def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: int = 1 << 20) -> _Table:
@@ -305,8 +304,7 @@ def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
     if (pa.types.is_string(kind) or pa.types.is_large_string(kind)) and not column.null_count:
         coded = column.combine_chunks().dictionary_encode()  # a few texts, many times each
         return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]
-    values: list[Any] = column.to_pylist()
-    return values
+    return list(column.to_pylist())
 
 
 def read_marks(path: Path) -> dict[str, str] | None:

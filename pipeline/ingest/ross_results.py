@@ -84,8 +84,7 @@ def _load(path: Path) -> dict[str, Any]:
     if not {"forced_resp", "speed_range"} <= content.get(_KIND, {}).keys():
         listed = ", ".join(content) or "nothing"
         raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {listed[:100]}: {_NEXT}")
-    section: dict[str, Any] = content[_KIND]
-    return section
+    return dict(content[_KIND])
 
 
 def _to_complex(path: Path, rows: Any) -> np.ndarray:
