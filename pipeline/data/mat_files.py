@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -69,17 +69,16 @@ def require_unpacked(path: Path, most: float = 1e8, times: float = 100.0) -> Non
         require_room(path, sum(entry.file_size for entry in archive.infolist()), most, times)
 
 
-def read_mat(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """The variables ``names``, each a row (n,) of numbers or of texts.
 
     Raises DataError: no such file, a damaged one, no such variable, a matrix where one of its columns is needed.
     """
     from h5py import is_hdf5
 
-    wanted = list(names)
     with open_measured(path, "complete MAT file"):
-        every = _open_hdf5(path, wanted) if is_hdf5(path) else _open_old(path)
-    return {name: _take(path, every, name) for name in wanted}
+        every = _open_hdf5(path, names) if is_hdf5(path) else _open_old(path)
+    return {name: _take(path, every, name) for name in names}
 
 
 def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: float = 20.0) -> dict[str, np.ndarray]:
@@ -90,8 +89,9 @@ def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: flo
     """
     from safetensors.numpy import load
 
-    room = memory + times * path.stat().st_size
-    content = load(ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, room))
+    content = load(
+        ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, memory + times * path.stat().st_size)
+    )
     texts = json.loads(content.pop("#").tobytes())
     return content | {name: np.array(values, dtype=object) for name, values in texts.items()}
 

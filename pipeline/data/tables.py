@@ -209,8 +209,12 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
         if any("\0" in field for field in row):
             raise ValueError(f"row {i} has bytes that are no text")
     require_room(path, 8 * len(header) * len(rows))
-    columns = [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")]
-    return _Table(header, columns, text.first, text.decimal or ".")
+    return _Table(
+        header,
+        [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")],
+        text.first,
+        text.decimal or ".",
+    )
 
 
 def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
@@ -246,8 +250,7 @@ def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Tab
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
-    names = [str(name) for name in header]
-    return _Table(names, [column[1:] for column in table], skip + units + 2, text.decimal or ".")
+    return _Table(list(map(str, header)), [column[1:] for column in table], skip + units + 2, text.decimal or ".")
 
 
 def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
