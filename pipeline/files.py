@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
+import platform
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -19,16 +20,20 @@ from typing import Any
 from pipeline.errors import DataError, StorageError
 
 
-def write_beside(path: Path, write: Callable[[Path], object]) -> Path:
+def write_beside(path: Path, write: Callable[[Path], object], mode: int = 0o666) -> Path:
     """Let ``write`` make the file under a temporary name in the same folder, then rename it to ``path``.
+
+    Nobody has more rights than ``mode`` says.
 
     Raises StorageError (full disk, read-only folder, a file where a folder should be); nothing is left
     behind.
     """
-    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    beside = path.with_name(f".{path.stem}{_MARK}{os.getpid()}{path.suffix}")
     try:
         with _explain_storage(path):
             path.parent.mkdir(parents=True, exist_ok=True)
+            _clear(path.parent)
+            beside.touch(mode)
             write(beside)
             with beside.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -45,12 +50,13 @@ def write_folder(path: Path, write: Callable[[Path], object]) -> Path:
 
     Raises StorageError (full disk, read-only folder, a file in the way); the folder that was there stays then.
     """
-    beside, old = (path.with_name(f".{path.name}.{os.getpid()}{ending}") for ending in ("", ".old"))
+    beside, old = (path.with_name(f".{path.name}{_MARK}{os.getpid()}{ending}") for ending in ("", ".old"))
     try:
         with _explain_storage(path):
             if path.exists() and not path.is_dir():
                 raise NotADirectoryError(0, "there is a file of that name")
             beside.mkdir(parents=True)
+            _clear(path.parent)
             write(beside)
             if path.exists():
                 os.replace(path, old)
@@ -61,6 +67,20 @@ def write_folder(path: Path, write: Callable[[Path], object]) -> Path:
         for folder in (beside, old):
             shutil.rmtree(folder, ignore_errors=True)
     return path
+
+
+_MARK = f".writing-{platform.node()}-"
+"""In the hidden name of what this machine writes, before the number of the process."""
+
+
+def _clear(folder: Path) -> None:
+    """Remove what writers that were killed left in ``folder``."""
+    for entry in folder.glob(f".*{_MARK}*") if os.name == "posix" else ():
+        with contextlib.suppress(OSError, ValueError):
+            try:
+                os.kill(int(entry.name.rpartition(_MARK)[2].partition(".")[0]), 0)
+            except ProcessLookupError:
+                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
 @contextlib.contextmanager
@@ -134,7 +154,7 @@ def keep(kind: str, key: str, content: bytes, most: int = 300) -> None:
     Nothing is raised where that can't be done.
     """
     with contextlib.suppress(StorageError, OSError):
-        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(content))
+        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(content), 0o600)
         entries = sorted(path.parent.iterdir(), key=lambda entry: entry.stat().st_mtime)
         for entry in entries[:-most]:
             entry.unlink(missing_ok=True)

@@ -1,15 +1,22 @@
-"""Other processes: how many threads each has, Ctrl-C while they start; and a limit on the time of what has none."""
+"""Other processes: how many threads each has, Ctrl-C while they start, one that a file may kill; and a limit on the
+time of what has none."""
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import cache
 from multiprocessing import resource_tracker
+from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
@@ -104,3 +111,69 @@ def run_within(seconds: float, function: Callable[[], _T]) -> _T:
         if answer.done():
             raise  # the function's own
         raise TimeoutError(f"no answer within {seconds:g} s") from None
+
+
+def ask_aside(function: str, question: str, seconds: float, memory: float) -> bytes:
+    """What a ``function`` (``module:name``, of a text, to bytes) gives in an interpreter beside this one, which a crash
+    may end: within so many ``seconds`` and bytes of ``memory``. It is kept for the next question.
+
+    Raises RuntimeError with what the function raised, or that it ended the interpreter.
+    """
+    process: Any = _open_aside()  # both of its pipes are there
+    try:
+        process.stdin.write(json.dumps([function, question, seconds, memory]).encode() + b"\n")
+        process.stdin.flush()
+        head = process.stdout.read(9)
+        content = process.stdout.read(int.from_bytes(head[1:], "big"))
+        if not head:
+            raise RuntimeError(f"it makes its reader crash, or takes longer than {seconds:g} s")
+    except BaseException:  # the next question would get the answer to one that was interrupted
+        _open_aside.cache_clear()
+        process.kill()
+        process.communicate()
+        raise
+    if head[:1] != b"+":
+        raise RuntimeError(content.decode())
+    return content
+
+
+@cache
+def _open_aside() -> subprocess.Popen[bytes]:
+    """It ends with this process, which closes its pipes then; Ctrl-C is for this one alone."""
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-P",
+            "-c",
+            f"import sys; sys.path.insert(0, sys.argv[1]); import {__name__} as p; p.answer()",
+            str(Path(__file__).parents[1]),
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env=os.environ | dict.fromkeys(_THREADS, "1"),
+    )
+
+
+def answer() -> None:
+    """Answer the questions of :func:`ask_aside`, one a line."""
+    for line in sys.stdin.buffer:
+        function, question, seconds, memory = json.loads(line)
+        try:
+            _limit(int(seconds), int(memory))
+            mark, content = b"+", resolve_name(function)(question)
+        except Exception as error:
+            mark, content = b"-", (str(error) or type(error).__name__).encode()
+        _limit(0, -1)
+        sys.stdout.buffer.write(mark + len(content).to_bytes(8, "big") + content)
+        sys.stdout.flush()
+
+
+def _limit(seconds: int, memory: int) -> None:
+    """What this process may take from now on; 0 and -1 for any."""
+    with suppress(ImportError, ValueError):  # Windows has no limits, macOS none of memory
+        import resource
+
+        signal.alarm(seconds)
+        resource.setrlimit(resource.RLIMIT_AS, (memory, -1))

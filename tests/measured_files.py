@@ -125,13 +125,13 @@ def write_uff(path: Path, sets: Sequence[Mapping[str, Any]]) -> Path:
     return path
 
 
-def write_hdf5(path: Path, channels: Mapping[str, np.ndarray], rate: float | None = None) -> Path:
-    """A dataset a channel, and the attribute ``fs`` at the file."""
+def write_hdf5(path: Path, channels: Mapping[str, np.ndarray | None], rate: float | None = None, **how: Any) -> Path:
+    """A dataset a channel, stored as ``how`` says, and the attribute ``fs`` at the file."""
     import h5py
 
     with h5py.File(path, "w") as file:
         for name, values in channels.items():
-            file.create_dataset(name, data=values)
+            file.create_dataset(name, data=values, **how)
         if rate is not None:
             file.attrs["fs"] = rate
     return path

@@ -214,5 +214,4 @@ def interpolate(given: np.ndarray, column: np.ndarray, wanted: np.ndarray) -> np
         return np.interp(wanted, given, column)
     from scipy.interpolate import CubicSpline
 
-    values: np.ndarray = CubicSpline(given, column)(wanted)
-    return values
+    return np.asarray(CubicSpline(given, column)(wanted))

@@ -66,11 +66,8 @@ def recognize_csv(path: Path, names: Collection[str], stated: CsvConfig, head: i
     Raises DataError where a comma may stand for decimals and for thousands.
     """
     encoding = stated.encoding or _recognize_encoding(path)
-    try:
-        with path.open(encoding=encoding, errors="replace", newline="") as file:
-            lines = file.read(head).splitlines()
-    except OSError:  # its reader says what it is
-        lines = []
+    with path.open(encoding=encoding, errors="replace", newline="") as file:
+        lines = file.read(head).splitlines()
     delimiter = stated.delimiter or _recognize_delimiter(lines, ";\t|" if stated.decimal == "," else ",;\t|")
     rows = _split(lines, delimiter)
     skip, units = find_header(rows, names, stated.skip_rows)
@@ -107,8 +104,6 @@ def _recognize_encoding(path: Path, block: int = 1 << 20) -> str:
                 pass
     except UnicodeDecodeError:
         return "cp1252"
-    except OSError:
-        pass
     return "utf-8-sig"
 
 
@@ -119,7 +114,7 @@ def _split(lines: Sequence[str], delimiter: str) -> list[list[str]]:
         return [line.split(delimiter) for line in lines]
 
 
-_NUMBER = re.compile(r"[-+]?[\d.,]*\d[\d.,]*([eE][-+]?\d+)?")
+_NUMBER = re.compile(r"[-+]?[.,]*\d[\d.,]*([eE][-+]?\d+)?")
 
 
 def _recognize_delimiter(lines: Sequence[str], candidates: str) -> str:

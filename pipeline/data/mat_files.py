@@ -1,19 +1,22 @@
-"""Variables of MATLAB files (.mat, all versions) by name: ``speed``, ``run1.amplitude`` of a struct, ``x(:,2)``.
+"""The door for files of strangers: what a library says of one is a sentence, and none asks for more than it has.
 
-And what a library says of a damaged file, as a sentence.
+And variables of MATLAB files (.mat, all versions) by name: ``speed``, ``run1.amplitude`` of a struct, ``x(:,2)``.
 """
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
 from pipeline.errors import DataError, nearest
+from pipeline.processes import ask_aside
 
 _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
 
@@ -27,36 +30,81 @@ def require_file(path: Path) -> None:
 
 
 @contextmanager
-def open_measured(path: Path, kind: str) -> Iterator[None]:
+def open_measured(path: Path, kind: str, next_step: str = "copy it again") -> Iterator[None]:
     """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
     require_file(path)
     try:
         yield
-    except DataError:
+    except (DataError, ImportError):
         raise
-    except Exception as error:  # scipy, h5py, nptdms, pyuff and openpyxl raise many kinds
+    except Exception as error:  # scipy, h5py, nptdms, pyuff, pyarrow and openpyxl raise many kinds
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise DataError(f"'{path}' must be a {kind}, but it can't be read as one ({reason}): {next_step}") from None
+
+
+def require_names(path: Path, what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise DataError for the first of ``names`` that a file lacks; it has the ``known``."""
+    every = list(known)
+    for name in names:
+        if name not in every:
+            raise DataError(f"'{path}' must have the {what} '{name}', but it has not: {nearest(name, every)}")
+
+
+def require_room(path: Path, asked: float, most: float = 1e8, times: float = 100.0) -> None:
+    """Raise DataError where a file asks for more bytes than ``most`` and than so many ``times`` its own.
+
+    Real measurements pack to a tenth; what packs better is made to fill the memory, or damaged.
+    """
+    size = path.stat().st_size
+    if asked > max(most, times * size):
         raise DataError(
-            f"'{path}' must be a complete {kind}, but it can't be read as one ({write_reason(error)}): copy it again"
-        ) from None
+            f"'{path}' must unpack to at most {times:g} times its {size:,} bytes, but it asks for {asked:,.0f}: copy "
+            "it again, or write it without compression and without empty cells"
+        )
 
 
-def write_reason(error: Exception) -> str:
-    """The first line of what a library says."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+def require_unpacked(path: Path, most: float = 1e8, times: float = 100.0) -> None:
+    """:func:`require_room` for all that is in a zip archive, such as a workbook or a file of numpy's."""
+    with ZipFile(path) as archive:
+        require_room(path, sum(entry.file_size for entry in archive.infolist()), most, times)
 
 
-def read_mat(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """The variables ``names``, each a row (n,) of numbers or of texts.
 
     Raises DataError: no such file, a damaged one, no such variable, a matrix where one of its columns is needed.
     """
     from h5py import is_hdf5
+
+    with open_measured(path, "complete MAT file"):
+        every = _open_hdf5(path, names) if is_hdf5(path) else _open_old(path)
+    return {name: _take(path, every, name) for name in names}
+
+
+def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: float = 20.0) -> dict[str, np.ndarray]:
+    """Every variable of a file before version 7.3, fields of structs by dotted names.
+
+    A changed bit in such a file ends the interpreter that reads it, so another one does: within so many ``seconds``,
+    bytes of ``memory`` and, beyond it, ``times`` those of the file.
+    """
+    from safetensors.numpy import load
+
+    content = load(
+        ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, memory + times * path.stat().st_size)
+    )
+    texts = json.loads(content.pop("#").tobytes())
+    return content | {name: np.array(values, dtype=object) for name, values in texts.items()}
+
+
+def pack_old(path: str) -> bytes:
+    """The variables of a MAT file as safetensors; the texts as JSON, which are none of its kinds."""
+    from safetensors.numpy import save
     from scipy.io import loadmat
 
-    with open_measured(path, "MAT file"):
-        # Every variable of numbers or texts, fields of structs by dotted names.
-        every = dict(_walk(_open_hdf5(path) if is_hdf5(path) else loadmat(path, simplify_cells=True)))
-    return {name: _take(path, every, name) for name in names}
+    every = dict(_walk(loadmat(path, simplify_cells=True)))
+    texts = {name: every.pop(name).tolist() for name in list(every) if every[name].dtype.kind in "UO"}
+    every["#"] = np.frombuffer(json.dumps(texts, default=str).encode(), np.uint8)
+    return save({name: np.ascontiguousarray(values) for name, values in every.items()})  # it takes the rows as they lie
 
 
 def _walk(content: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
@@ -90,23 +138,39 @@ def _take(path: Path, every: Mapping[str, Any], name: str) -> np.ndarray:
     return array.reshape(-1)
 
 
-def _open_hdf5(path: Path) -> dict[str, Any]:
-    """The content of a file of version 7.3, as ``loadmat`` gives older ones."""
+def _open_hdf5(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
+    """The variables of a file of version 7.3; those that are not ``wanted`` are empty."""
     import h5py
 
+    asked = {_COLUMN.sub(r"\1", name) for name in wanted}
     with h5py.File(path, "r") as file:
+        every: dict[str, Any] = {}
+        # Each object once, by one of its names, and no link to another file.
+        file.visititems(lambda name, item: every.update({name.replace("/", "."): item}))
 
         def read(item: Any) -> Any:
-            """An item of the file, with all that lies in it."""
-            if isinstance(item, h5py.Group):
-                return {name: read(inside) for name, inside in item.items() if not name.startswith("#")}
-            kind = item.attrs.get("MATLAB_class", b"double")
-            values = item[()]
+            """A text, the texts of a cell array (empty for what else lies there), or numbers."""
+            require_values(path, item)
+            kind, values = item.attrs.get("MATLAB_class", b"double"), np.asarray(item[()]).T  # columns first
             if kind == b"char":
-                return "".join(chr(code) for code in np.asarray(values).T.reshape(-1))
-            if kind == b"cell":
-                return np.array([read(file[reference]) for reference in np.asarray(values).T.reshape(-1)], dtype=object)
-            return np.asarray(values).T  # MATLAB counts down the columns
+                return "".join(chr(code) for code in values.reshape(-1))
+            if values.dtype == h5py.ref_dtype:
+                cells = [file[reference] for reference in values.reshape(-1)]
+                return np.array(
+                    [read(cell) if hasattr(cell, "dtype") and cell.dtype != h5py.ref_dtype else "" for cell in cells],
+                    dtype=object,
+                )
+            return values
 
-        content: dict[str, Any] = read(file)
-        return content
+        return {
+            name: np.asarray(read(item) if name in asked else ())
+            for name, item in every.items()
+            if isinstance(item, h5py.Dataset) and not name.startswith("#")
+        }
+
+
+def require_values(path: Path, dataset: Any) -> None:
+    """Raise DataError for a dataset of HDF5 that asks for more memory than a file of its size, or for another file."""
+    require_room(path, dataset.nbytes)
+    if dataset.external:
+        raise DataError(f"'{path}' must hold its values, but '{dataset.name}' takes them from another file: copy them")

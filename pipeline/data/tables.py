@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, recognize_csv
-from pipeline.data.mat_files import open_measured, read_mat, require_file, write_reason
-from pipeline.errors import DataError, nearest
+from pipeline.data.mat_files import open_measured, read_mat, require_names, require_room, require_unpacked
+from pipeline.errors import DataError
 from pipeline.files import write_beside
 
 if TYPE_CHECKING:
@@ -65,9 +65,7 @@ def read_table(
     """
     names, table, first, decimal = _read_any(path, columns, text)
     counts = Counter(names)
-    for name in columns:
-        if name not in counts:
-            raise DataError(f"'{path}' must have the column '{name}', but it has not: {nearest(name, names)}")
+    require_names(path, "column", columns, names)
     if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
     columns_read: Columns = {}
@@ -95,13 +93,13 @@ def list_columns(path: Path, text: CsvConfig = PLAIN) -> list[str]:
 
 def list_units(path: Path, text: CsvConfig = PLAIN, head: int = 100) -> dict[str, str]:
     """Name of each column -> the words of the rows of units below it. Raises DataError as :func:`read_table`."""
-    require_file(path)
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         rows: list[Any] = _read_sheet(path, text)
     elif is_csv(path):
-        text = recognize_csv(path, (), text)
-        with path.open(newline="", encoding=text.encoding, errors="replace") as file:
-            rows = list(islice(csv.reader(file, delimiter=text.delimiter or ","), head))
+        with open_measured(path, "CSV table"):
+            text = recognize_csv(path, (), text)
+            with path.open(newline="", encoding=text.encoding, errors="replace") as file:
+                rows = list(islice(csv.reader(file, delimiter=text.delimiter or ","), head))
     else:
         return dict.fromkeys(list_columns(path, text), "")
     skip, units = find_header(rows[:head], (), text.skip_rows)
@@ -113,16 +111,18 @@ def list_sheets(path: Path) -> list[str | None]:
     """Those of a workbook; a single None for another file, and for a workbook of one sheet."""
     if path.suffix.lower() not in (".xlsx", ".xlsm"):
         return [None]
-    import openpyxl
-
-    with open_measured(path, "Excel file (.xlsx)"):
-        names = openpyxl.load_workbook(path, read_only=True).sheetnames
+    with open_measured(path, "complete Excel file (.xlsx)"):
+        names = _open_book(path).sheetnames
     return names if len(names) > 1 else [None]
 
 
 def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    require_file(path)
-    return _READERS.get(path.suffix.lower(), _read_csv)(path, columns, text)
+    stated = "{encoding, delimiter, decimal, skip_rows, unit_rows}"
+    read, *kind = _READERS.get(
+        path.suffix.lower(), (_read_csv, "CSV table", f"its format can be stated: csv: {stated}")
+    )
+    with open_measured(path, *kind):
+        return read(path, columns, text)
 
 
 def _to_numbers(path: Path, name: str, column: Any, kind: str, first: int, decimal: str) -> np.ndarray:
@@ -169,8 +169,7 @@ def _parse_numbers(column: Any) -> Sequence[Any] | np.ndarray:
         values = _to_array(column.cast("float64"))
         if np.isfinite(values).all():
             return values
-    texts: list[Any] = column.to_pylist()
-    return texts
+    return list(column.to_pylist())
 
 
 def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: int = 1 << 20) -> _Table:
@@ -198,53 +197,60 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
 
 
 def _explain_csv(path: Path, text: CsvConfig) -> _Table:
-    try:
-        with path.open(newline="", encoding=text.encoding) as file:
-            lines = islice(file, text.skip_rows or 0, None)
-            rows = [row for row in csv.reader(lines, delimiter=text.delimiter or ",") if row]
-        header = rows[0]
-        for i, row in enumerate(rows, (text.skip_rows or 0) + 1):
-            if len(row) > len(header):
-                raise ValueError(f"row {i} has {len(row)} fields, the header {len(header)}")
-            if any("\0" in field for field in row):
-                raise ValueError(f"row {i} has bytes that are no text")
-    except (OSError, ValueError, IndexError, csv.Error) as error:
-        reason = "it is empty" if isinstance(error, IndexError) else write_reason(error)
-        raise DataError(
-            f"'{path}' must be a CSV table, but it can't be read as one ({reason}); its format can be stated: "
-            "csv: {encoding, delimiter, decimal, skip_rows, unit_rows}"
-        ) from None
-    columns = [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")]
-    return _Table(header, columns, text.first, text.decimal or ".")
+    with path.open(newline="", encoding=text.encoding) as file:
+        lines = islice(file, text.skip_rows or 0, None)
+        rows = [row for row in csv.reader(lines, delimiter=text.delimiter or ",") if row]
+    if not rows:
+        raise ValueError("it is empty")
+    header = rows[0]
+    for i, row in enumerate(rows, (text.skip_rows or 0) + 1):
+        if len(row) > len(header):
+            raise ValueError(f"row {i} has {len(row)} fields, the header {len(header)}")
+        if any("\0" in field for field in row):
+            raise ValueError(f"row {i} has bytes that are no text")
+    require_room(path, 8 * len(header) * len(rows))
+    return _Table(
+        header,
+        [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")],
+        text.first,
+        text.decimal or ".",
+    )
 
 
 def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
     """Its rows."""
-    with open_measured(path, "Excel file (.xlsx)"), warnings.catch_warnings():
+    with open_measured(path, "complete Excel file (.xlsx)"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and validations, which hold no data
-        import openpyxl
-
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-        if text.sheet and text.sheet not in book.sheetnames:
-            raise DataError(f"'{path}' must have the sheet '{text.sheet}': {nearest(text.sheet, book.sheetnames)}")
+        book = _open_book(path)
+        require_names(path, "sheet", [text.sheet] if text.sheet else (), book.sheetnames)
         sheet = book[text.sheet or book.sheetnames[0]]
         sheet.reset_dimensions()  # what other programs write there may be wrong
-        rows = list(sheet.iter_rows(values_only=True))
+        rows, cells = [], 0
+        for row in sheet.iter_rows(values_only=True):
+            cells += len(row)  # a row is as long as its last cell says
+            require_room(path, 8 * cells)
+            rows.append(row)
         book.close()
     return rows
 
 
+def _open_book(path: Path, most: float = 5e6, times: float = 30.0) -> Any:
+    """A workbook whose parts unpack to at most so many bytes, or ``times`` those of the file: 2 MB take a second."""
+    import openpyxl
+
+    require_unpacked(path, most, times)
+    return openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+
+
 def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    with open_measured(path, "Excel file (.xlsx)"):
-        rows = _read_sheet(path, text)
-        skip, units = find_header(rows[:100], columns, text.skip_rows)
-        units = units if text.unit_rows is None else text.unit_rows
-        header, rows = rows[skip], rows[skip + 1 + units :]
+    rows = _read_sheet(path, text)
+    skip, units = find_header(rows[:100], columns, text.skip_rows)
+    units = units if text.unit_rows is None else text.unit_rows
+    header, rows = rows[skip], rows[skip + 1 + units :]
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
-    names = [str(name) for name in header]
-    return _Table(names, [column[1:] for column in table], skip + units + 2, text.decimal or ".")
+    return _Table(list(map(str, header)), [column[1:] for column in table], skip + units + 2, text.decimal or ".")
 
 
 def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
@@ -257,18 +263,13 @@ def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table
 
 
 def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
-    import pyarrow.lib
     import pyarrow.parquet as parquet
 
-    try:
-        # parquet.read_table would import pyarrow's data sets, which takes as long as pandas.
-        stored = parquet.ParquetFile(path).read()
-        table = [_to_array(column) for column in stored.columns]
-    except (OSError, ValueError, TypeError, pyarrow.lib.ArrowException) as error:
-        raise DataError(
-            f"'{path}' must be a complete Parquet file, but it can't be read ({write_reason(error)}): make it "
-            "again with stage=generate"
-        ) from None
+    # parquet.read_table would import pyarrow's data sets, which takes as long as pandas.
+    with parquet.ParquetFile(path) as file:
+        require_room(path, 8 * file.metadata.num_rows * file.metadata.num_columns)
+        stored = file.read()
+    table = [_to_array(column) for column in stored.columns]
     schema = _decode_marks(stored.schema.metadata).get("schema", SCHEMA)
     if schema != SCHEMA:
         raise DataError(
@@ -278,13 +279,14 @@ def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _T
     return _Table(stored.column_names, table)
 
 
-_READERS: dict[str, Callable[[Path, Mapping[str, str], CsvConfig], _Table]] = {
-    ".parquet": _read_parquet,
-    ".xlsx": _read_excel,
-    ".xlsm": _read_excel,
-    ".mat": _read_mat,
+_Reader = Callable[[Path, Mapping[str, str], CsvConfig], _Table]
+_READERS: dict[str, tuple[_Reader, str, str]] = {
+    ".parquet": (_read_parquet, "complete Parquet file", "make it again with stage=generate"),
+    ".xlsx": (_read_excel, "complete Excel file (.xlsx)", "copy it again"),
+    ".xlsm": (_read_excel, "complete Excel file (.xlsx)", "copy it again"),
+    ".mat": (_read_mat, "complete MAT file", "copy it again"),
 }
-"""By a file's ending; any other is CSV."""
+"""By a file's ending: its reader, what it reads and the next step where it can't; any other is CSV."""
 
 
 def is_csv(path: Path) -> bool:
@@ -305,8 +307,7 @@ def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
     if (pa.types.is_string(kind) or pa.types.is_large_string(kind)) and not column.null_count:
         coded = column.combine_chunks().dictionary_encode()  # a few texts, many times each
         return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]
-    values: list[Any] = column.to_pylist()
-    return values
+    return list(column.to_pylist())
 
 
 def read_marks(path: Path) -> dict[str, str] | None:
@@ -318,12 +319,10 @@ def read_marks(path: Path) -> dict[str, str] | None:
     import pyarrow.lib
     import pyarrow.parquet as parquet
 
-    if path.suffix != ".parquet":
-        return None
-    try:
-        return _decode_marks(parquet.read_schema(path).metadata)
-    except (OSError, ValueError, pyarrow.lib.ArrowException):
-        return None  # a damaged file says so when its rows are read
+    with suppress(OSError, ValueError, pyarrow.lib.ArrowException):  # a damaged file says so when its rows are read
+        if path.suffix == ".parquet":
+            return _decode_marks(parquet.read_schema(path).metadata)
+    return None
 
 
 def _decode_marks(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:

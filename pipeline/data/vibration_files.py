@@ -12,6 +12,7 @@ have a speed once at each of them, and need not have what others have. Excitatio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,7 @@ from pipeline.data.dataset import (
     synchronous,
 )
 from pipeline.data.excitation_files import read_excitations, read_nodes
+from pipeline.data.mat_files import require_room
 from pipeline.data.operating import (
     describe_point,
     find_points,
@@ -221,6 +223,7 @@ def _assemble(
     order = {run: r for r, run in enumerate(runs)}
     at_run = np.array([order[run] for run in table["run"].tolist()])
     shape = (len(rpm), len(pairs), len(runs))
+    require_room(path, 16 * math.prod(shape))
     rows = np.ravel_multi_index((at_point, at_channel.ravel(), at_run), shape)
     counts = np.bincount(rows, minlength=np.prod(shape)).reshape(shape)
 

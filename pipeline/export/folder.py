@@ -109,6 +109,8 @@ def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()
     sheet = book.create_sheet("conventions")
     for convention in list_conventions(states):
         sheet.append([convention])
+    for cell in (cell for sheet in book for row in sheet.iter_rows() for cell in row):
+        cell.data_type = "s" if cell.data_type == "f" else cell.data_type  # a name that begins with "=" is no formula
     book.save(path)
 
 

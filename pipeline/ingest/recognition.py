@@ -88,7 +88,7 @@ def _list_columns(path: Path) -> dict[str, str]:
     """Name of each column -> what stands below it."""
     if path.suffix != ".npz":
         return list_units(path)
-    with open_measured(path, "NumPy file (.npz)"), ZipFile(path) as file:
+    with open_measured(path, "complete NumPy file (.npz)"), ZipFile(path) as file:
         return {name.removesuffix(".npy"): "" for name in file.namelist()}
 
 

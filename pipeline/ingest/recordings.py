@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig
-from pipeline.data.mat_files import open_measured, read_mat
+from pipeline.data.mat_files import (
+    open_measured,
+    read_mat,
+    require_names,
+    require_room,
+    require_unpacked,
+    require_values,
+)
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError, nearest
 
@@ -41,7 +48,9 @@ def read_recording(
     wanted = list(dict.fromkeys([*names, *([time] if time else [])]))
     ending, stated = path.suffix.lower(), None
     if ending in _READERS:
-        channels, stated = _READERS[ending](path, wanted, attribute)
+        read, kind = _READERS[ending]
+        with open_measured(path, kind):
+            channels, stated = read(path, wanted, attribute)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
         channels = read_table(path, dict.fromkeys(wanted, "number"), text=text)
     else:
@@ -103,7 +112,7 @@ def check_times(path: Path, name: str, time: np.ndarray) -> np.ndarray:
 def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
     import h5py
 
-    with open_measured(path, "HDF5 file"), h5py.File(path, "r") as file:
+    with h5py.File(path, "r") as file:
         every: list[str] = []
         file.visititems(lambda name, item: every.append(name) if isinstance(item, h5py.Dataset) else None)
         channels = {}
@@ -116,6 +125,7 @@ def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple
                     f"'{path}' must have one row of numbers in '{name}', but it has the shape {item.shape} of "
                     f"{item.dtype}: store each channel as a dataset of its own"
                 )
+            require_values(path, item)
             channels[name] = item[()].astype(float)
         places = [file.get(name.strip("/")) for name in names] + [file]
         return channels, _read_rate(path, attribute, places)
@@ -156,14 +166,14 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
     from nptdms.log import log_manager
 
     log_manager.set_level(logging.ERROR)  # what it warns of is refused below
-    with open_measured(path, "TDMS file"), path.open("rb") as stream, TdmsFile.open(stream) as file:
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
         if file.file_status.incomplete_final_segment:
             raise DataError(f"'{path}' must be a complete TDMS file, but its last segment is cut: copy it again")
         every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         channels, rates = {}, set()
+        require_names(path, "channel", names, every)
         for name in names:
-            if name not in every:
-                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
+            require_room(path, 8 * len(every[name]))
             channels[name] = np.asarray(every[name][:], dtype=float)
             step = float(every[name].properties.get("wf_increment", 0.0))
             rates |= {1 / step} if step > 0 else set()
@@ -177,12 +187,11 @@ def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Chann
     """Each array by itself: np.load would open objects, too, where it is asked to."""
     from zipfile import ZipFile
 
-    with open_measured(path, "NumPy file (.npz)"), ZipFile(path) as file:
+    require_unpacked(path)
+    with ZipFile(path) as file:
         stored = [name.removesuffix(".npy") for name in file.namelist()]
         wanted = (*names, *([rate] if rate else []))
-        for name in wanted:
-            if name not in stored:
-                raise DataError(f"'{path}' must have the array '{name}', but it has not: {nearest(name, stored)}")
+        require_names(path, "array", wanted, stored)
         every = {name: np.lib.format.read_array(file.open(f"{name}.npy")) for name in wanted}
         for name in names:
             if every[name].ndim != 1 or every[name].dtype.kind not in "iuf":
@@ -196,13 +205,12 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
     """Channels are called 1, 2, ..; full scale is one."""
     from scipy.io import wavfile
 
-    with open_measured(path, "WAV file"), warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of parts that hold no samples
+        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         rate, samples = wavfile.read(path)
         every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
-        for name in names:
-            if name not in every:
-                raise DataError(f"'{path}' must have the channel '{name}', but it has not: {nearest(name, every)}")
+        require_names(path, "channel", names, every)
         middle, full = 0.0, 1.0
         if samples.dtype.kind != "f":
             limits = np.iinfo(samples.dtype)
@@ -211,11 +219,11 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         return {name: (every[name] - middle) / full for name in names}, float(rate)
 
 
-_READERS: dict[str, Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]] = {
-    **dict.fromkeys((".h5", ".hdf5", ".hdf"), _read_hdf5),
-    ".tdms": _read_tdms,
-    ".mat": _read_mat,
-    ".npz": _read_npz,
-    ".wav": _read_wav,
+_READERS: dict[str, tuple[Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]], str]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file")),
+    ".tdms": (_read_tdms, "complete TDMS file"),
+    ".mat": (_read_mat, "complete MAT file"),
+    ".npz": (_read_npz, "complete NumPy file (.npz)"),
+    ".wav": (_read_wav, "complete WAV file"),
 }
-"""By a file's ending: the channels, and the sample rate in Hz that the file states."""
+"""By a file's ending: what gives the channels and the sample rate in Hz that the file states, and what it reads."""

@@ -18,6 +18,7 @@ from pydantic import Field
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig, ProbeConfig, TachoAngleConfig
 from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
+from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting
 from pipeline.ingest.tracks import RunTracks, sort_track
@@ -54,14 +55,15 @@ class RossRecordingsConfig(MeasuredConfig):
 def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6) -> RunTracks:
     """The 1X vectors of a run of ROSS, which has so many ``dof`` a node."""
     path = Path(run.sources(config.file)[0])
-    content = _load(path)
-    speeds = np.asarray(content["speed_range"], dtype=float)
-    response = _to_complex(path, content["forced_resp"])
-    if response.ndim != 2 or response.shape[1] != len(speeds):
-        raise DataError(
-            f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
-        )
-    _check_unbalances(path, content.get("unbalance"), list_acting(config, run))
+    with open_measured(path, "response that ROSS saved", _NEXT):
+        content = _load(path)
+        speeds = np.asarray(content["speed_range"], dtype=float)
+        response = _to_complex(path, content["forced_resp"])
+        if response.ndim != 2 or response.shape[1] != len(speeds):
+            raise DataError(
+                f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
+            )
+        _check_unbalances(path, content.get("unbalance"), list_acting(config, run))
     tracks = {}
     for name, probe in config.probes.items():
         if dof * probe.node + 1 >= len(response):
@@ -76,19 +78,13 @@ def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6
 
 
 def _load(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise DataError(f"'{path}' must exist, but there is no such file")
     if path.suffix.lower() == ".json":
         raise DataError(f"'{path}' must be TOML, but it is JSON, where ROSS leaves complex numbers out: {_NEXT}")
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"'{path}' must be a response that ROSS saved, but it is no TOML file ({error})") from None
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
     if not {"forced_resp", "speed_range"} <= content.get(_KIND, {}).keys():
         listed = ", ".join(content) or "nothing"
         raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {listed[:100]}: {_NEXT}")
-    section: dict[str, Any] = content[_KIND]
-    return section
+    return dict(content[_KIND])
 
 
 def _to_complex(path: Path, rows: Any) -> np.ndarray:

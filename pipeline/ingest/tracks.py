@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pipeline.data.coefficient_files import interpolate
 from pipeline.errors import DataError
 from pipeline.units import RAD_S_PER_RPM
 
@@ -124,14 +125,8 @@ def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, k
     steps = np.diff(track.speeds)
     # A cubic through noise between two speeds that are nearly one would swing far out.
     if kind == "linear" or len(track.speeds) < 4 or steps.min() < np.median(steps) / 5:
-        real, imaginary = (
-            np.interp(inside, track.speeds, component) for component in (track.vectors.real, track.vectors.imag)
-        )
-        return real + 1j * imaginary
-    from scipy.interpolate import CubicSpline
-
-    values: np.ndarray = CubicSpline(track.speeds, track.vectors)(inside)
-    return values
+        return np.interp(inside, track.speeds, track.vectors)
+    return interpolate(track.speeds, track.vectors, inside)
 
 
 _CONFUSED = {60.0: "rpm called Hz", 1 / 60: "Hz called rpm", 1 / RAD_S_PER_RPM: "rpm called rad/s"}

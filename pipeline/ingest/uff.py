@@ -164,7 +164,7 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
     """
     import pyuff
 
-    with open_measured(path, "universal file"):
+    with open_measured(path, "complete universal file"):
         content = path.read_bytes()
         stored = pyuff.UFF(str(path))
         count = int(stored.get_n_sets())

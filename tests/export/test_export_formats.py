@@ -168,6 +168,8 @@ def test_workbook(exported: Exported, tmp_path: Path) -> None:
     np.testing.assert_allclose(found[:, 1:] * scale(exported), exported.table.values[1], rtol=1e-14)
     assert rows[0][0].startswith("toy, bearing at node 5")
     assert [row[6] for row in book["node 5 deviations"].iter_rows(min_row=8, values_only=True)] == [None] * len(RPM)
+    write_workbook(path, replace(exported, name='=HYPERLINK("x")'))
+    assert openpyxl.load_workbook(path)["node 1"]["A1"].data_type == "s"
 
 
 @pytest.mark.slow

@@ -127,19 +127,6 @@ def test_numbers_that_are_none_in_a_universal_file(tmp_path: Path) -> None:
         read(uff_config(path))
 
 
-@pytest.mark.parametrize("binary", [0, 1])
-def test_a_truncated_universal_file_is_refused(binary: int, tmp_path: Path) -> None:
-    path = write_uff(tmp_path / "runs.uff", uff_sets(binary=binary))
-    content = path.read_bytes()
-    for at in (20, 200, len(content) // 2, len(content) - 40, len(content) - 4):
-        path.write_bytes(content[:at])
-        with refused("runs.uff", "must"):
-            read(uff_config(path))
-    path.write_bytes(b"speed,amplitude\n1,2\n")
-    with refused("runs.uff", "must"):
-        read(uff_config(path))
-
-
 RATE = 4000.0
 SCALE = {"A": 8000.0, "B": -8000.0, "C": 8000.0, "D": 200e-3 / 25.4e-6}  # V/m
 SCALES = {"A": "8 V/mm", "B": "-8 mV/um", "C": "8 V/mm", "D": "200 mV/mil"}
@@ -321,18 +308,6 @@ def test_a_recording_that_does_not_fit(case: str, tmp_path: Path) -> None:
     path = write_hdf5(tmp_path / "one.h5", change(run_up(0.0)))
     with refused(words, "one.h5"):
         read(signal_config("", [RUNS[0] | {"file": str(path)}], **changes))
-
-
-@pytest.mark.parametrize("ending", ["h5", "tdms", "csv"])
-def test_a_truncated_recording_is_refused(ending: str, tmp_path: Path) -> None:
-    write, prefix, clock = CONTAINERS[ending]
-    path = write(tmp_path / f"one.{ending}", {k: v[:4000] for k, v in run_up(0.0).items()}, RATE)
-    content = path.read_bytes()
-    section = signal_config(prefix, [RUNS[0] | {"file": str(path)}], **clock)
-    for damaged in (content[: len(content) // 2], content[:-9], content[:30], b"", b"something else\n" * 9):
-        path.write_bytes(damaged)
-        with refused(path.name, "must"):
-            read(section)
 
 
 def test_a_file_that_says_another_rate(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_named(folder: Path, tmp_path: Path) -> None:
         read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "a.json")}]))
     cut = (folder / "one.toml").read_text()
     (tmp_path / "cut.toml").write_text(cut[: len(cut) // 2])
-    with refused("must be a response that ROSS saved, but it is no TOML file"):
+    with refused("must be a response that ROSS saved, but it can't be read as one"):
         read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "cut.toml")}]))
     (tmp_path / "bad.toml").write_text(cut.replace("np.complex128(", "np.complex128(nan", 1))
     with refused("must have complex numbers in forced_resp"):

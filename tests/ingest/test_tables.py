@@ -103,7 +103,7 @@ def test_a_workbook_with_a_sheet_a_run(tmp_path: Path) -> None:
                 book, sheet_name=run["sheet"], index=False, startrow=2
             )
     check_read(read(table_config(runs)))
-    with refused("must have the sheet 'run onee': did you mean 'run one'?"):
+    with refused("must have the sheet 'run onee', but it has not: did you mean 'run one'?"):
         read(table_config([runs[0] | {"sheet": "run onee"}]))
 
 

@@ -1,0 +1,258 @@
+"""Files of strangers: changed bytes, cut ends, bombs, names. Each is read as another reader reads it, or refused."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import h5py
+import nptdms
+import numpy as np
+import openpyxl
+import pandas as pd
+import pyarrow.parquet as parquet
+import pytest
+import pyuff
+import scipy.io
+from conftest import refused
+from measured_files import table_config, uff_set, write_hdf5, write_tdms, write_uff
+from reading import wide_runs, with_ingest
+from scipy.io import wavfile
+from test_mat_and_parquet import write_new
+
+from pipeline import files
+from pipeline.data.csv_format import CsvConfig
+from pipeline.data.tables import list_units
+from pipeline.errors import DataError
+from pipeline.files import write_text
+from pipeline.ingest.recordings import read_recording
+from pipeline.ingest.uff import read_uff
+from pipeline.processes import ask_aside
+from pipeline.stages import run_stage
+
+SIGNALS = {"a": np.sin(np.arange(60.0)), "b": np.cos(np.arange(60.0))}
+TABLE = pd.DataFrame(SIGNALS)
+
+
+def _select(content: Any) -> np.ndarray:
+    return np.stack([np.ravel(content[name]) for name in SIGNALS], axis=1).astype(float)
+
+
+def _uff(path: Path, binary: int) -> None:
+    sets = [uff_set(np.arange(60) + 1.0, v + 0j, 1, 1, [k], binary=binary) for k, v in SIGNALS.items()]
+    write_uff(path, [one | {"abscissa_spacing": 1} for one in sets])
+
+
+def _tdms(path: Path) -> np.ndarray:
+    with nptdms.TdmsFile.open(path) as file:
+        return _select({name: file["run"][name][:] for name in SIGNALS})
+
+
+def _npz(path: Path) -> np.ndarray:
+    with np.load(path) as file:
+        return _select(file)
+
+
+def _wav(path: Path) -> np.ndarray:
+    return np.asarray(wavfile.read(path)[1]) / 2.0**15
+
+
+def _hdf5(path: Path) -> np.ndarray:
+    with h5py.File(path) as file:
+        return _select({name: file[name][()] for name in SIGNALS})
+
+
+def _sets(path: Path) -> np.ndarray:
+    sets = pyuff.UFF(str(path)).read_sets()
+    return np.stack([one["data"] for one in sets if one["type"] == 58], axis=1)
+
+
+ZIPPED: dict[str, Any] = {"compression": "gzip", "chunks": (20,), "shuffle": True}
+SHORTS = (1e4 * TABLE.to_numpy()).astype(np.int16)
+KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], Any]]] = {
+    "csv": ("csv", partial(TABLE.to_csv, index=False), partial(pd.read_csv, dtype=str)),
+    "excel": ("xlsx", partial(TABLE.to_excel, index=False), pd.read_excel),
+    "parquet": ("parquet", TABLE.to_parquet, lambda path: parquet.read_table(path).to_pydict()),
+    "npz": ("npz", lambda path: np.savez_compressed(path, **SIGNALS), _npz),
+    "wav": (
+        "wav",
+        partial(wavfile.write, rate=100, data=SHORTS),
+        lambda p: dict(zip("ab", wavfile.read(p)[1].T / 2.0**15, strict=True)),
+    ),
+    "hdf5": ("h5", lambda path: write_hdf5(path, SIGNALS), _hdf5),
+    "zipped hdf5": ("h5", lambda path: write_hdf5(path, SIGNALS, **ZIPPED), _hdf5),
+    "tdms": ("tdms", lambda path: write_tdms(path, SIGNALS), _tdms),
+    "mat 4": ("mat", lambda path: scipy.io.savemat(path, SIGNALS, format="4"), scipy.io.loadmat),
+    "mat 5": ("mat", lambda path: scipy.io.savemat(path, SIGNALS | {"run": {"x": [1.0]}}), scipy.io.loadmat),
+    "zipped mat 5": ("mat", lambda path: scipy.io.savemat(path, SIGNALS, do_compression=True), scipy.io.loadmat),
+    "mat 7.3": ("mat", lambda path: write_new(path, SIGNALS), _hdf5),
+    "uff": ("uff", partial(_uff, binary=0), _sets),
+    "binary uff": ("uff", partial(_uff, binary=1), _sets),
+}
+"""The ending of a file, how it is written, and what a reader that is not ours makes of it: (n, 2)."""
+NAMES = {"wav": ("1", "2"), "tdms": ("run/a", "run/b")}
+
+
+@cache
+def whole(kind: str) -> bytes:
+    """A good file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"good.{KINDS[kind][0]}"
+        KINDS[kind][1](path)
+        return path.read_bytes()
+
+
+def damage(content: bytes, seed: int, head: int = 800) -> bytes:
+    """A fifth is cut; half of the bytes that change stand in the head, where sizes are."""
+    rng, changed = np.random.default_rng(seed), bytearray(content)
+    if seed % 5 == 0:
+        return content[: rng.integers(len(content))]
+    for _ in range(rng.integers(1, 5)):
+        at = rng.integers(min(len(content), head) if rng.random() < 0.5 else len(content))
+        changed[at] = changed[at] ^ 1 << rng.integers(8) if rng.random() < 0.5 else rng.integers(256)
+    return bytes(changed)
+
+
+def read(kind: str, path: Path) -> np.ndarray:
+    """What we make of it: (n, 2)."""
+    if path.suffix == ".uff":
+        return np.stack([record.values for record in read_uff(path)[0]], axis=1)
+    rate, names = None if kind == "wav" else 100.0, NAMES.get(kind, ("a", "b"))
+    return np.stack(list(read_recording(path, names, CsvConfig(), rate=rate)[1].values()), axis=1)
+
+
+@pytest.mark.filterwarnings("ignore:Chunk .non-data.")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seeds", [range(24)], ids=str)
+def test_damaged_files(kind: str, seeds: range, tmp_path: Path) -> None:
+    """A file that is accepted has the numbers that another reader finds in it; no error but ours."""
+    ending, _, read_otherwise = KINDS[kind]
+    path, content = tmp_path / f"some.{ending}", whole(kind)
+    ends = (20, 200, len(content) // 3, -40, -4) if kind != "csv" else ()  # a text may end anywhere
+    for cut in (b"", b"something else\n" * 9, *(content[:end] for end in ends)):
+        path.write_bytes(cut)
+        with refused(path.name, "must"):
+            read(kind, path)
+    for seed in (None, *seeds):
+        path.write_bytes(content if seed is None else damage(content, seed))
+        try:
+            values = read(kind, path)
+        except DataError:
+            assert seed is not None
+            continue
+        other = read_otherwise(path)
+        assert np.array_equal(values, other if isinstance(other, np.ndarray) else _select(other)), seed
+
+
+def _pack(path: Path, size: int) -> None:
+    TABLE.to_excel(path, index=False)
+    with ZipFile(path, "a", ZIP_DEFLATED) as file:
+        file.writestr("xl/media/image.png", bytes(size))
+
+
+def _stretch(path: Path) -> None:
+    book = openpyxl.Workbook()
+    for row in range(1, 800):
+        book.active.cell(row, 16384, 1.0)
+    book.save(path)
+
+
+UNWRITTEN = {"dtype": float, "shape": 10**10, "chunks": True}
+ELSEWHERE = {"dtype": float, "shape": 1, "external": [("/etc/hostname", 0, 8)]}
+BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "unpacked sheets": ("a.xlsx", partial(_pack, size=10**7), "must unpack to at most 30 times its"),
+    "a cell in the last column": ("a.xlsx", _stretch, "must unpack to at most 100 times its"),
+    "zeros": ("a.npz", lambda path: np.savez_compressed(path, a=np.zeros(13 * 10**6)), "it asks for 104,000,128"),
+    "values that nobody wrote": (
+        "a.h5",
+        partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True),
+        "it asks for 80,000,000,000",
+    ),
+    "of MATLAB": (
+        "a.mat",
+        partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True),
+        "it asks for 80,000,000,000",
+    ),
+    "another file": (
+        "a.h5",
+        lambda path: write_hdf5(path, {"a": None}, **ELSEWHERE),
+        "takes them from another",
+    ),
+    "one number": ("a.parquet", pd.DataFrame({"a": np.ones(13 * 10**6)}).to_parquet, "it asks for 104,000,000"),
+    "a long header": ("a.csv", lambda path: path.write_text("a," * 9999 + "b\n" + "1\n" * 2000), "it asks for 160,"),
+    "a long field": ("a.csv", lambda path: path.write_text(f"a,b\n1,{'1' * 60000}x\n2,3\n" + '"'), "must have finite"),
+    "a size": ("a.mat", lambda path: path.write_bytes(struct.pack("5i", 0, 2**30, 1, 0, 2) + b"a\0"), "MAT file"),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_bombs(bomb: str, tmp_path: Path) -> None:
+    """A few bytes that ask for more memory than the machine has: each is a sentence at once."""
+    name, write, sentence = BOMBS[bomb]
+    write(tmp_path / name)
+    with refused(name, sentence):
+        read_recording(tmp_path / name, ["a"], CsvConfig(), rate=100.0)
+
+
+def test_columns_whose_field_never_ends(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text('a,b\n"' + "1" * 200000)
+    with refused("a.csv", "field larger than field limit"):
+        list_units(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("question", "answer"),
+    [
+        ("__import__('os').abort()", "crash"),
+        ("__import__('time').sleep(9)", "longer than 1 s"),
+        ("bytes(10**10)", "Memory"),
+        ("1 / 0", "division by zero"),
+    ],
+)
+def test_an_interpreter_beside_this_one_may_end(question: str, answer: str) -> None:
+    """What it says, or that it ended; the next question has its own answer."""
+    with pytest.raises(RuntimeError, match=answer):
+        ask_aside("builtins:eval", question, 1.0, 2e9)
+    assert ask_aside("builtins:eval", "b'content'", 9.0, 2e9) == b"content"
+
+
+def test_what_a_killed_writer_left_goes_with_the_next_file(tmp_path: Path) -> None:
+    """Its temporary file and folder, and nothing else that is hidden, or being written."""
+    code = """import os, sys; from pathlib import Path; from pipeline.files import write_beside, write_folder
+write_folder(Path(sys.argv[1], 'd'), lambda d: write_beside(d.parent / 'a.txt', lambda f: (f.touch(), os.abort())))"""
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False, cwd=Path(__file__).parents[2])
+    left = sorted(tmp_path.iterdir())
+    assert [path.name.partition("-")[0] for path in left] == [".a.writing", ".d.writing"]
+    beside = left[0].with_name(re.sub(r"\d+\.txt", f"{os.getppid()}.txt", left[0].name))
+    for path in (beside, tmp_path / ".mine"):
+        path.touch()
+    write_text(tmp_path / "b.txt", "new")
+    assert sorted(tmp_path.iterdir()) == sorted([beside, tmp_path / ".mine", tmp_path / "b.txt"])
+
+
+def test_what_is_kept_is_for_its_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "CACHE", tmp_path)
+    files.keep("rotors", "key", b"content")
+    assert files.look_up("rotors", "key") == b"content"
+    assert (tmp_path / "rotors" / "key").stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.slow
+def test_a_name_is_no_place(tmp_path: Path) -> None:
+    """Whatever a run is called, its files lie in the folder of the experiment."""
+    names = ("../../x", "=cmd|' /C calc'!A0 <!--<script>")
+    runs = [run | {"name": name} for run, name in zip(wide_runs(tmp_path), names, strict=True)]
+    before, output = set(tmp_path.rglob("*")), tmp_path / "deep" / "er"
+    run_stage(with_ingest(table_config(runs), output=str(output)))
+    written = {path for path in tmp_path.rglob("*") if path.is_file()} - before
+    assert {path.parent for path in written} == {output, output / "figures"}
+    assert pd.read_csv(output / "excitation.csv")["run"].tolist() == [names[0], f"'{names[1]}"]
