@@ -140,7 +140,8 @@ def _make_room(drawing: Any, drawn: Sequence[Any], edge: float, apart: float = 0
     """Narrow the axes of a panel where words at their ticks would reach beyond its ``edge``, a share of the width."""
     renderer, whole = drawing.canvas.get_renderer(), drawing.bbox.width
     outer = [axis for ax in drawn for axis in (ax.yaxis, *((ax.xaxis,) if ax.name == "polar" else ()))]
-    lack = edge + apart - min(axis.get_tightbbox(renderer).x0 for axis in outer) / whole
+    boxes = (axis.get_tightbbox(renderer) for axis in outer)  # none of an axis without words
+    lack = edge + apart - min((box.x0 for box in boxes if box), default=whole) / whole
     for ax in drawn if lack > 0 else ():
         box = ax.get_position()
         ax.set_position((box.x0 + lack, box.y0, box.width - lack, box.height))
