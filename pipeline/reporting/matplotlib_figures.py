@@ -109,7 +109,8 @@ def _measure_margins(panel: Panel) -> tuple[float, float]:
     """Inches left of a panel and below it, for the words at its ticks."""
     longest = max([0, *(len(name) for axes in panel.axes for name in axes.y_names)])
     lines = 1 + max([0, *(name.count("\n") for name in panel.x_names)])
-    below = 0.062 * max(map(len, panel.x_names)) if _is_turned(panel) else 0.12 * (lines - 1)
+    widest = max([0, *(len(line) for name in panel.x_names for line in name.split("\n"))])
+    below = 0.062 * widest + 0.08 * (lines - 1) if _is_turned(panel) else 0.12 * (lines - 1)
     titles = max(axes.y_title.count("\n") for axes in panel.axes)
     return max(0.62 + 0.12 * titles, 0.36 + 0.056 * longest), 0.42 + below
 

@@ -66,6 +66,7 @@ def find_mistakes(
     falls_by: float = 3.0,
     as_good: float = 1.5,
     most_named: int = 3,
+    gross: float = 0.3,
 ) -> list[Found]:
     """The mistakes that explain the readings far better than none; the best first, empty where all is well.
 
@@ -77,6 +78,7 @@ def find_mistakes(
         first: how closely all mistakes are tried; ``refined`` of them then to the depth ``last``.
         falls_by: so many times less must a mistake leave over.
         as_good: mistakes that leave so many times as much as the best one are named beside it, ``most_named`` of them.
+        gross: a scale or a weight that is off by more than this share is mistaken for another.
     """
     as_probes = _as_probes(measurement, probes)
     names = [probe.name for probe in probes] or name_channels(as_probes)
@@ -96,7 +98,7 @@ def find_mistakes(
             mistake.sentence + _describe_extra(fit),
             mistake.check,
             base.mean_square / fit.mean_square,
-            mistake.gross or _is_gross(fit),
+            mistake.gross or (len(fit.free) == 2 and abs(complex(*fit.free)) > gross),
             mistake.single,
         )
         for mistake, fit in tried[:most_named]
@@ -140,11 +142,6 @@ class _Trial:
         best = quick_fit(mistake.measurement, begins, self.terms, mistake.free)
         self.fits.append(replace(best, mean_square=best.mean_square * mistake.penalty))
         return self.fits[-1]
-
-
-def _is_gross(fit: QuickFit, small: float = 0.3) -> bool:
-    """Whether a scale or a weight is off by more than a share ``small``, so that it is mistaken for another."""
-    return len(fit.free) == 2 and abs(complex(*fit.free)) > small
 
 
 def _describe_extra(fit: QuickFit) -> str:
