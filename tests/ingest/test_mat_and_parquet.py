@@ -41,8 +41,8 @@ def write_new(path: Path, content: dict[str, Any]) -> Path:
                     one = file.create_dataset(place_of, data=np.array([[ord(letter)] for letter in text]))
                     one.attrs["MATLAB_class"] = np.bytes_(b"char")
                     made.append(one.ref)
-                cell = place.create_dataset(name, data=np.array([made], dtype=h5py.ref_dtype))
-                cell.attrs["MATLAB_class"] = np.bytes_(b"cell")
+                cells = np.array([made], dtype=h5py.ref_dtype)
+                place.create_dataset(name, data=cells).attrs["MATLAB_class"] = np.bytes_(b"cell")
             else:
                 place.create_dataset(name, data=np.atleast_2d(value).T).attrs["MATLAB_class"] = np.bytes_(b"double")
 
