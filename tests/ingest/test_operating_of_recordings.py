@@ -83,7 +83,7 @@ def test_a_baseline_may_be_measured_at_every_state(tmp_path: Path) -> None:
     assert found.complete
 
 
-def test_oil_that_warms_during_a_run_up_by_speed_and_by_time(tmp_path: Path) -> None:
+def test_oil_that_warms_during_a_run_up_by_speed(tmp_path: Path) -> None:
     """Straight lines between what was written down; every recording has its own temperature at a speed."""
     log = tmp_path / "oil.csv"
     log.write_text("run,speed_rpm,oil_temperature_degC\none,500,40\none,3000,50\ntwo,3000,55\ntwo,400,45\n")
