@@ -123,11 +123,11 @@ def test_what_a_mat_file_lacks_is_named(write: Any, tmp_path: Path) -> None:
     content = {"run": {"speed": GRID, "data": np.ones((11, 4))}, "fs": np.array([1.0, 2.0]), "text": ["a", "b"]}
     path = write(tmp_path / "a.mat", content)
     for name, fragments in (
-        ("run.sped", ("the variable 'run.sped', but it has not: did you mean 'run.speed'?", "table2struct")),
+        ("run.sped", ("must have the variable 'run.sped', but it has not: did you mean 'run.speed'?", "table2struct")),
         ("run.data", ("must have one row of values in 'run.data', but its shape is (11, 4): name a column",)),
         ("run.data(:,5)", ("must have the column 5 of 'run.data', but its shape is (11, 4)",)),
     ):
-        with refused("must have", *fragments):
+        with refused(*fragments):
             read_mat(path, [name])
     run = RUNS[0] | {"file": str(path)}
     for channel, clock, words in (

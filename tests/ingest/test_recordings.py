@@ -69,8 +69,8 @@ def test_what_a_universal_file_says_otherwise_is_warned_of(tmp_path: Path) -> No
         "is per force",
     )
     units = {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
-    of_metres = write_uff(tmp_path / "b.uff", [units, *uff_sets()])
-    assert "its lengths are in 0.001 m (dataset 164)" in notes(uff_config(of_metres))
+    in_millimetres = write_uff(tmp_path / "b.uff", [units, *uff_sets()])
+    assert "its lengths are in 0.001 m (dataset 164)" in notes(uff_config(in_millimetres))
     assert notes(uff_config(write_uff(tmp_path / "c.uff", uff_sets(ordinate_axis_units_lab="um pk-pk")))) == ""
 
 
@@ -131,7 +131,7 @@ SCALES = {"A": "8 V/mm", "B": "-8 mV/um", "C": "8 V/mm", "D": "200 mV/mil"}
 
 
 def volts(seconds: float, turn: float, first: float, slope: float = 0.0, **runout: complex) -> dict[str, np.ndarray]:
-    """Of the probes and the tacho, with a gap, from ``first`` rpm at ``slope`` rpm/s."""
+    """Volts of the probes and the tacho, with a gap, from ``first`` rpm at ``slope`` rpm/s."""
     t = np.arange(int(seconds * RATE)) / RATE
     phi = 2 * np.pi * (first * t + slope * t**2 / 2) / 60 + 0.3
     vectors = seen(turn, first + slope * t).of
