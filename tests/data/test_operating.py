@@ -8,34 +8,33 @@ import pytest
 from pipeline.data.operating import split_states, write_condition
 
 
-def test_points_without_conditions_make_one_line_without_a_name() -> None:
-    ((label, points),) = split_states(np.array([10.0, 20.0, 30.0]), {})
-    assert label == ""
-    assert points.tolist() == [0, 1, 2]
-
-
-def test_equal_conditions_belong_together_although_a_state_lacks_speeds() -> None:
-    speeds = np.array([10.0, 20.0, 30.0, 20.0, 30.0, 40.0])
-    kelvin = np.array([318.15] * 3 + [338.15] * 3)
-    load = np.array([500.0] * 3 + [750.0] * 3)
-    states = split_states(speeds, {"oil_temperature": kelvin, "load": load})
-    assert [label for label, _ in states] == ["45 degC, 500 N", "65 degC, 750 N"]
-    assert [points.tolist() for _, points in states] == [[0, 1, 2], [3, 4, 5]]
-
-
-def test_a_run_up_whose_oil_warms_is_one_line_by_ascending_speed() -> None:
-    kelvin = np.array([318.15, 319.0, 320.15, 325.15])
-    ((label, points),) = split_states(np.array([10.0, 30.0, 20.0, 40.0]), {"oil_temperature": kelvin})
-    assert label == "45 to 52 degC"
-    assert points.tolist() == [0, 2, 1, 3]
-
-
-def test_temperatures_that_waver_about_two_states_make_two_lines() -> None:
-    speeds = np.array([10.0, 20.0, 30.0, 10.0, 20.0, 30.0])
-    celsius = np.array([44.9, 45.0, 45.1, 64.8, 65.0, 65.2])
-    states = split_states(speeds, {"oil_temperature": celsius + 273.15})
-    assert [points.tolist() for _, points in states] == [[0, 1, 2], [3, 4, 5]]
-    assert states[1][0] == "64.8 to 65.2 degC"
+@pytest.mark.parametrize(
+    ("speeds", "conditions", "lines"),
+    [
+        ([10.0, 20.0, 30.0], {}, {"": [0, 1, 2]}),
+        (
+            [10.0, 20.0, 30.0, 20.0, 30.0, 40.0],
+            {"oil_temperature": [318.15] * 3 + [338.15] * 3, "load": [500.0] * 3 + [750.0] * 3},
+            {"45 degC, 500 N": [0, 1, 2], "65 degC, 750 N": [3, 4, 5]},
+        ),
+        (
+            [10.0, 30.0, 20.0, 40.0],
+            {"oil_temperature": [318.15, 319.0, 320.15, 325.15]},
+            {"45 to 52 degC": [0, 2, 1, 3]},
+        ),
+        (
+            [10.0, 20.0, 30.0, 10.0, 20.0, 30.0],
+            {"oil_temperature": [318.05, 318.15, 318.25, 337.95, 338.15, 338.35]},
+            {"44.9 to 45.1 degC": [0, 1, 2], "64.8 to 65.2 degC": [3, 4, 5]},
+        ),
+    ],
+    ids=["no conditions", "two states, one lacks speeds", "a run-up whose oil warms", "two that waver"],
+)
+def test_points_of_one_state_make_one_line_by_ascending_speed(
+    speeds: list[float], conditions: dict[str, list[float]], lines: dict[str, list[int]]
+) -> None:
+    states = split_states(np.array(speeds), {name: np.array(values) for name, values in conditions.items()})
+    assert [(label, points.tolist()) for label, points in states] == list(lines.items())
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -24,14 +24,18 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A baseline, a run with two weights and a run of a force with a frequency of its own."""
     folder = tmp_path_factory.mktemp("rows")
     random = np.random.default_rng(3)
-    values = random.normal(size=(3, 3, 3)) + 1j * random.normal(size=(3, 3, 3))
-    acting = (
-        Excitation("weights", "unbalance", 1, 2e-4, 0.3),
-        Excitation("weights", "unbalance", 2, 1e-4, -1.1),
-        Excitation("force", "force", 1, 5.0, 0.0, "backward"),
+    dataset = VibrationDataset(
+        FREQUENCIES[:, 0],
+        ("found", "weights", "force"),
+        CHANNELS,
+        1e-6 * (random.normal(size=(3, 3, 3)) + 1j * random.normal(size=(3, 3, 3))),
+        (
+            Excitation("weights", "unbalance", 1, 2e-4, 0.3),
+            Excitation("weights", "unbalance", 2, 1e-4, -1.1),
+            Excitation("force", "force", 1, 5.0, 0.0, "backward"),
+        ),
+        FREQUENCIES,
     )
-    runs = ("found", "weights", "force")
-    dataset = VibrationDataset(FREQUENCIES[:, 0], runs, CHANNELS, 1e-6 * values, acting, FREQUENCIES)
     write_vibration(folder / "vibration.csv", dataset)
     write_excitation(folder / "excitation.csv", dataset)
     return folder

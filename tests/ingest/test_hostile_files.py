@@ -48,8 +48,13 @@ def _select(content: Any) -> np.ndarray:
 
 
 def _uff(path: Path, binary: int) -> None:
-    sets = [uff_set(np.arange(60) + 1.0, v + 0j, 1, 1, [k], binary=binary) for k, v in SIGNALS.items()]
-    write_uff(path, [one | {"abscissa_spacing": 1} for one in sets])
+    write_uff(
+        path,
+        [
+            uff_set(np.arange(60) + 1.0, values + 0j, 1, 1, [name], binary=binary, abscissa_spacing=1)
+            for name, values in SIGNALS.items()
+        ],
+    )
 
 
 def _tdms(path: Path) -> np.ndarray:
@@ -57,32 +62,23 @@ def _tdms(path: Path) -> np.ndarray:
         return _select({name: file["run"][name][:] for name in SIGNALS})
 
 
-def _npz(path: Path) -> np.ndarray:
-    with np.load(path) as file:
-        return _select(file)
-
-
-def _wav(path: Path) -> np.ndarray:
-    return np.asarray(wavfile.read(path)[1]) / 2.0**15
-
-
-def _hdf5(path: Path) -> np.ndarray:
-    with h5py.File(path) as file:
+def _arrays(path: Path, read_by: Callable[[Path], Any]) -> np.ndarray:
+    with read_by(path) as file:
         return _select({name: file[name][()] for name in SIGNALS})
 
 
 def _sets(path: Path) -> np.ndarray:
-    sets = pyuff.UFF(str(path)).read_sets()
-    return np.stack([one["data"] for one in sets if one["type"] == 58], axis=1)
+    return np.stack([one["data"] for one in pyuff.UFF(str(path)).read_sets() if one["type"] == 58], axis=1)
 
 
+_hdf5 = partial(_arrays, read_by=h5py.File)
 ZIPPED: dict[str, Any] = {"compression": "gzip", "chunks": (20,), "shuffle": True}
 SHORTS = (1e4 * TABLE.to_numpy()).astype(np.int16)
 KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], Any]]] = {
     "csv": ("csv", partial(TABLE.to_csv, index=False), partial(pd.read_csv, dtype=str)),
     "excel": ("xlsx", partial(TABLE.to_excel, index=False), pd.read_excel),
     "parquet": ("parquet", TABLE.to_parquet, lambda path: parquet.read_table(path).to_pydict()),
-    "npz": ("npz", lambda path: np.savez_compressed(path, **SIGNALS), _npz),
+    "npz": ("npz", lambda path: np.savez_compressed(path, **SIGNALS), partial(_arrays, read_by=np.load)),
     "wav": (
         "wav",
         partial(wavfile.write, rate=100, data=SHORTS),
@@ -166,25 +162,16 @@ def _stretch(path: Path) -> None:
     book.save(path)
 
 
-UNWRITTEN = {"dtype": float, "shape": 10**10, "chunks": True}
-ELSEWHERE = {"dtype": float, "shape": 1, "external": [("/etc/hostname", 0, 8)]}
+UNWRITTEN = partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True)
 BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "unpacked sheets": ("a.xlsx", partial(_pack, size=10**7), "must unpack to at most 30 times its"),
     "a cell in the last column": ("a.xlsx", _stretch, "must unpack to at most 100 times its"),
     "zeros": ("a.npz", lambda path: np.savez_compressed(path, a=np.zeros(13 * 10**6)), "it asks for 104,000,128"),
-    "values that nobody wrote": (
-        "a.h5",
-        partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True),
-        "it asks for 80,000,000,000",
-    ),
-    "of MATLAB": (
-        "a.mat",
-        partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True),
-        "it asks for 80,000,000,000",
-    ),
+    "values that nobody wrote": ("a.h5", UNWRITTEN, "it asks for 80,000,000,000"),
+    "of MATLAB": ("a.mat", UNWRITTEN, "it asks for 80,000,000,000"),
     "another file": (
         "a.h5",
-        lambda path: write_hdf5(path, {"a": None}, **ELSEWHERE),
+        partial(write_hdf5, channels={"a": None}, dtype=float, shape=1, external=[("/etc/hostname", 0, 8)]),
         "takes them from another",
     ),
     "one number": ("a.parquet", pd.DataFrame({"a": np.ones(13 * 10**6)}).to_parquet, "it asks for 104,000,000"),
@@ -253,6 +240,5 @@ def test_a_name_is_no_place(tmp_path: Path) -> None:
     runs = [run | {"name": name} for run, name in zip(wide_runs(tmp_path), names, strict=True)]
     before, output = set(tmp_path.rglob("*")), tmp_path / "deep" / "er"
     run_stage(with_ingest(table_config(runs), output=str(output)))
-    written = {path for path in tmp_path.rglob("*") if path.is_file()} - before
-    assert {path.parent for path in written} == {output, output / "figures"}
+    assert {path.parent for path in {*tmp_path.rglob("*")} - before if path.is_file()} == {output, output / "figures"}
     assert pd.read_csv(output / "excitation.csv")["run"].tolist() == [names[0], f"'{names[1]}"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,25 +26,26 @@ from measured_files import (
     table_config,
     tacho_of,
     uff_set,
+    vectors_of,
     wide,
     write_hdf5,
     write_tdms,
     write_uff,
 )
-from pydantic import TypeAdapter
+from reading import RPM, RUNS, parsed
+from test_motion import PAIR
 
 from pipeline.errors import ConfigError, DataError
-from pipeline.ingest.dataset import MeasuredRuns, RecordingsConfig, read_measured_runs
+from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 
 pytestmark = pytest.mark.slow
 
-RPM = np.pi / 30
-RUN = {"name": "one", "unbalances": [{"node": 1, "magnitude": "20 g mm", "phase": "30 deg"}]}
+RUN = RUNS[0]
 
 
 def read(section: dict[str, Any]) -> MeasuredRuns:
     """What a section ``ingest`` gives."""
-    return read_measured_runs(TypeAdapter(RecordingsConfig).validate_python(section))
+    return read_measured_runs(parsed(section))
 
 
 SAID = st.fixed_dictionaries(
@@ -81,20 +82,19 @@ def test_a_table_in_any_convention_is_read_back(
 ) -> None:
     """Whatever the units, senses, layout, order of rows and angles of the probes: x and y within 1e-9."""
     rpm, displacement, probes = data
-    seen = {
-        name: displacement @ np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
-        for name, (_, angle) in probes.items()
-    }
-    vectors = Vectors(rpm, seen)
+    vectors = vectors_of(rpm, lambda _: displacement[:, 0], lambda _: displacement[:, 1], probes)
     table = wide(vectors, said) if layout == "wide" else long({"one": vectors}, said)
-    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}} if layout == "wide" else {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.csv"
         table.sample(frac=1, random_state=shuffle).to_csv(path, index=False)
-        section = table_config(
-            [RUN | {"file": str(path)}], layout, conventions=said, probes=probes_config(probes, **pair)
-        )
-        dataset = read(section).dataset
+        dataset = read(
+            table_config(
+                [RUN | {"file": str(path)}],
+                layout,
+                conventions=said,
+                probes=probes_config(probes, **(PAIR if layout == "wide" else {})),
+            )
+        ).dataset
     assert dataset.speeds == pytest.approx(rpm * RPM, rel=1e-9)
     assert np.abs(dataset.displacement[:, :, 0] - displacement).max() < 1e-9 * np.abs(displacement).max()
 
@@ -124,27 +124,12 @@ def _waves(prefix: str) -> dict[str, Any]:
     }
 
 
-def _uff(binary: int) -> Callable[[Path], Path]:
+def _uff(path: Path, binary: int) -> None:
     sets = [
         uff_set(GRID, vector * 1e6, 1, i + 1, [name], binary=binary, abscissa_spacing=1)
         for i, (name, vector) in enumerate(_vectors().of.items())
     ]
-    return lambda path: write_uff(path, sets)
-
-
-def _excel(path: Path) -> Path:
-    wide(_vectors()).to_excel(path, index=False)
-    return path
-
-
-def _csv(path: Path) -> Path:
-    wide(_vectors()).to_csv(path, index=False)
-    return path
-
-
-def _signals_csv(path: Path) -> Path:
-    pd.DataFrame(_signals()).to_csv(path, index=False)
-    return path
+    write_uff(path, sets)
 
 
 UFF = {
@@ -153,14 +138,14 @@ UFF = {
     "probes": probes_config(record=lambda name: name),
     "shaft_angle": "from_x",
 }
-KINDS: dict[str, tuple[str, Callable[[Path], Path], dict[str, Any]]] = {
-    "table": ("csv", _csv, table_config([])),
-    "excel": ("xlsx", _excel, table_config([])),
-    "uff": ("uff", _uff(0), UFF),
-    "binary uff": ("uff", _uff(1), UFF),
+KINDS: dict[str, tuple[str, Callable[[Path], object], dict[str, Any]]] = {
+    "table": ("csv", lambda path: wide(_vectors()).to_csv(path, index=False), table_config([])),
+    "excel": ("xlsx", lambda path: wide(_vectors()).to_excel(path, index=False), table_config([])),
+    "uff": ("uff", partial(_uff, binary=0), UFF),
+    "binary uff": ("uff", partial(_uff, binary=1), UFF),
     "hdf5": ("h5", lambda path: write_hdf5(path, _signals()), _waves("")),
     "tdms": ("tdms", lambda path: write_tdms(path, _signals()), _waves("run/")),
-    "signals csv": ("csv", _signals_csv, _waves("")),
+    "signals csv": ("csv", lambda path: pd.DataFrame(_signals()).to_csv(path, index=False), _waves("")),
 }
 FEWER = {"signals csv", "excel", "hdf5", "tdms"}
 
@@ -170,7 +155,8 @@ def original(kind: str) -> tuple[bytes, np.ndarray]:
     """A good file, and what is read of it."""
     ending, write, _ = KINDS[kind]
     with tempfile.TemporaryDirectory() as folder:
-        path = write(Path(folder) / f"good.{ending}")
+        path = Path(folder) / f"good.{ending}"
+        write(path)
         return path.read_bytes(), read(_section(kind, path)).dataset.displacement
 
 

@@ -65,12 +65,13 @@ def test_the_velocity_of_a_known_displacement_gives_it_back(
     kind, name, size = unit
     path = tmp_path_factory.mktemp("motion") / "all.csv"
     moved(["length", "velocity", "acceleration"].index(kind), size, ratio or 1.0, amplitude).to_csv(path, index=False)
-    runs = RUNS
-    if ratio:
-        force = [{"node": 1, "magnitude": "1 N", "phase": "0 deg", "whirl": "forward"}]
-        runs = [{"name": run["name"], "forces": force, "frequency_ratio": ratio} for run in RUNS]
+    force = [{"node": 1, "magnitude": "1 N", "phase": "0 deg", "whirl": "forward"}]
     section = table_config(
-        runs, "long", file=str(path), conventions=said(kind, name, amplitude=amplitude), probes=probes_config(**ON)
+        [{"name": run["name"], "forces": force, "frequency_ratio": ratio} for run in RUNS] if ratio else RUNS,
+        "long",
+        file=str(path),
+        conventions=said(kind, name, amplitude=amplitude),
+        probes=probes_config(**ON),
     )
     check_read(read(section), 1e-12)
 
@@ -88,41 +89,47 @@ def test_a_table_of_voltages(scale: str, order: int, volts: float, tmp_path: Pat
     """By the sensitivity of each probe; in mV."""
     path = tmp_path / "all.csv"
     moved(order, 1e-3 / volts).to_csv(path, index=False)
-    probes = probes_config(scale=lambda name: scale, **(ON if order else {}))
-    conventions = said("voltage", "mV", amplitude="zero_to_peak")
-    check_read(read(table_config(RUNS, "long", file=str(path), conventions=conventions, probes=probes)))
+    section = table_config(
+        RUNS,
+        "long",
+        file=str(path),
+        conventions=said("voltage", "mV", amplitude="zero_to_peak"),
+        probes=probes_config(scale=lambda name: scale, **(ON if order else {})),
+    )
+    check_read(read(section))
 
 
-def test_functions_of_universal_files(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "unit", "of", "order", "size"), [("velocity", "mm/s", 11, 1, 1e-3), ("acceleration", "g", 12, 2, 9.80665)]
+)
+def test_functions_of_universal_files(kind: str, unit: str, of: int, order: int, size: float, tmp_path: Path) -> None:
     """Ordinate types 11 and 12; the other is refused."""
-    for kind, of, order, size in (("velocity", 11, 1, 1e-3), ("acceleration", 12, 2, 9.80665)):
-        unit = "mm/s" if order == 1 else "g"
-        sets = [
-            uff_set(
-                GRID,
-                vector * (1j * GRID * RPM) ** order / size,
-                *(i + 1, 1),
-                texts=[name, f"run {run}"],
-                ordinate_spec_data_type=of,
-                ordinate_axis_units_lab=unit,
-            )
-            for run, turn in TURNS.items()
-            for i, (name, vector) in enumerate(seen(turn).of.items())
-        ]
-        section = {
-            "format": "uff58",
-            "conventions": {kind: unit, "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"},
-            "probes": probes_config(record=lambda name: name, **ON),
-            "shaft_angle": "from_x",
-            "file": str(write_uff(tmp_path / f"{kind}.uff", sets)),
-            "runs": [run | {"label": f"run {run['name']}"} for run in RUNS],
-        }
-        check_read(read(section), 1e-9)
-        conventions = dict(section["conventions"]) | {"length": "um"}
-        conventions.pop(kind)
-        wrong = section | {"conventions": conventions, "probes": probes_config(record=lambda name: name)}
-        with refused("must hold displacements, but it says that it holds", f"machine.recordings.conventions.{kind}"):
-            read(wrong)
+    sets = [
+        uff_set(
+            GRID,
+            vector * (1j * GRID * RPM) ** order / size,
+            *(i + 1, 1),
+            texts=[name, f"run {run}"],
+            ordinate_spec_data_type=of,
+            ordinate_axis_units_lab=unit,
+        )
+        for run, turn in TURNS.items()
+        for i, (name, vector) in enumerate(seen(turn).of.items())
+    ]
+    conventions = {"amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
+    section = {
+        "format": "uff58",
+        "conventions": conventions | {kind: unit},
+        "probes": probes_config(record=lambda name: name, **ON),
+        "shaft_angle": "from_x",
+        "file": str(write_uff(tmp_path / "a.uff", sets)),
+        "runs": [run | {"label": f"run {run['name']}"} for run in RUNS],
+    }
+    check_read(read(section), 1e-9)
+    with refused("must hold displacements, but it says that it holds", f"machine.recordings.conventions.{kind}"):
+        read(
+            section | {"conventions": conventions | {"length": "um"}, "probes": probes_config(record=lambda name: name)}
+        )
 
 
 def test_time_signals_of_velocity(tmp_path: Path) -> None:
@@ -130,12 +137,17 @@ def test_time_signals_of_velocity(tmp_path: Path) -> None:
     files, time = [], np.arange(20000) / 5000
     for i, rpm in enumerate((903.0, 1502.0)):
         w = rpm * RPM
-        vectors = seen(0.0, np.array([rpm])).of
-        signals = {name: 1e3 * rotating(1j * w * vector, w * time) for name, vector in vectors.items()}
+        signals = {
+            name: 1e3 * rotating(1j * w * vector, w * time) for name, vector in seen(0.0, np.array([rpm])).of.items()
+        }
         files.append(str(write_hdf5(tmp_path / f"{i}.h5", signals | {"tacho": tacho_of(w * time)})))
-    runs = [{"name": "one", "files": files, "unbalances": RUNS[0]["unbalances"]}]
-    probes = probes_config(channel=lambda name: name, **ON)
-    section = waves(records="constant_speed", signal_unit="mm/s", probes=probes, speeds=None, runs=runs)
+    section = waves(
+        records="constant_speed",
+        signal_unit="mm/s",
+        probes=probes_config(channel=lambda name: name, **ON),
+        speeds=None,
+        runs=[RUNS[0] | {"files": files}],
+    )
     found = read(section)
     true = np.stack(response(0, 0.0, np.array([903.0, 1502.0])), axis=1)
     assert np.abs(found.displacement[:, :2, 0] - true).max() < 1e-3 * np.abs(true).max()
@@ -189,11 +201,10 @@ def test_units_that_do_not_fit_are_named(case: str) -> None:
 
 
 def test_the_motion_of_a_casing_is_warned_of_at_a_bearing_and_refused_elsewhere() -> None:
-    conventions = {key: value for key, value in said("velocity", "mm/s").items() if key != "phase_unit"}
     probes = parsed(
         table_config(
             [RUNS[0] | {"file": "a.csv"}],
-            conventions=conventions | {"phase_unit": "deg"},
+            conventions=said("velocity", "mm/s"),
             probes=probes_config(**ON, **PAIR),
         )
     ).probes

@@ -54,8 +54,7 @@ def test_order_tracks_of_a_universal_file(binary: int, spacing: int, tmp_path: P
 def test_complex_numbers_whose_angle_is_a_lag(tmp_path: Path) -> None:
     """Conjugated numbers give the same with phase: lag; speeds in Hz too."""
     sets = [one | {"data": one["data"].conj(), "x": one["x"] / 60} for one in uff_sets(abscissa_spec_data_type=18)]
-    path = write_uff(tmp_path / "runs.uff", sets)
-    section = uff_config(path, conventions=UFF | {"phase": "lag", "speed": "Hz"})
+    section = uff_config(write_uff(tmp_path / "runs.uff", sets), conventions=UFF | {"phase": "lag", "speed": "Hz"})
     check_read(read(section | {"speeds": {"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 250}}), 1e-3)
     assert notes(section) == ""
 
@@ -63,16 +62,15 @@ def test_complex_numbers_whose_angle_is_a_lag(tmp_path: Path) -> None:
 def test_what_a_universal_file_says_otherwise_is_warned_of(tmp_path: Path) -> None:
     """Labels of length and speed, dataset 164, and numbers per force: the configuration is followed."""
     labelled = uff_sets(ordinate_axis_units_lab="mm", abscissa_axis_units_lab="Hz", orddenom_spec_data_type=13)
-    words = notes(uff_config(write_uff(tmp_path / "a.uff", labelled)))
     assert_says(
-        words,
+        notes(uff_config(write_uff(tmp_path / "a.uff", labelled))),
         "its lengths are in 'mm', and machine.recordings.conventions.length is um",
         "its abscissa is in Hz, and machine.recordings.conventions.speed is rpm",
         "is per force",
     )
     units = {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
-    words = notes(uff_config(write_uff(tmp_path / "b.uff", [units, *uff_sets()])))
-    assert "its lengths are in 0.001 m (dataset 164)" in words
+    in_millimetres = write_uff(tmp_path / "b.uff", [units, *uff_sets()])
+    assert "its lengths are in 0.001 m (dataset 164)" in notes(uff_config(in_millimetres))
     assert notes(uff_config(write_uff(tmp_path / "c.uff", uff_sets(ordinate_axis_units_lab="um pk-pk")))) == ""
 
 
@@ -132,50 +130,44 @@ SCALE = {"A": 8000.0, "B": -8000.0, "C": 8000.0, "D": 200e-3 / 25.4e-6}  # V/m
 SCALES = {"A": "8 V/mm", "B": "-8 mV/um", "C": "8 V/mm", "D": "200 mV/mil"}
 
 
+def volts(seconds: float, turn: float, first: float, slope: float = 0.0, **runout: complex) -> dict[str, np.ndarray]:
+    """Volts of the probes and the tacho, with a gap, from ``first`` rpm at ``slope`` rpm/s."""
+    t = np.arange(int(seconds * RATE)) / RATE
+    phi = 2 * np.pi * (first * t + slope * t**2 / 2) / 60 + 0.3
+    vectors = seen(turn, first + slope * t).of
+    channels = {name: SCALE[name] * (rotating(vectors[name] + runout.get(name, 0), phi) + 5e-4) for name in PROBES}
+    return channels | {"tacho": tacho_of(phi), "time": t}
+
+
 def run_up(turn: float) -> dict[str, np.ndarray]:
-    """Volts of the probes and the tacho in a run-up of 20 s from 200 to 2900 rpm, with a gap and a runout."""
-    t = np.arange(int(20 * RATE)) / RATE
-    rpm = 200 + 135 * t
-    phi = 2 * np.pi * (200 * t + 135 * t**2 / 2) / 60 + 0.3
-    vectors = seen(turn, rpm).of
-    channels = {name: SCALE[name] * (rotating(vectors[name] + RUNOUT[name], phi) + 5e-4) for name in PROBES}
-    return channels | {"tacho": tacho_of(phi), "time": t}
+    """20 s from 200 to 2900 rpm, with a runout."""
+    return volts(20, turn, 200, 135, **RUNOUT)
 
 
-def steady(rpm: float, turn: float) -> dict[str, np.ndarray]:
-    """Volts at one speed for 2 s."""
-    t = np.arange(int(2 * RATE)) / RATE
-    phi = 2 * np.pi * rpm * t / 60 + 0.3
-    vectors = seen(turn, np.array([rpm])).of
-    channels = {name: SCALE[name] * (rotating(vectors[name], phi) + 5e-4) for name in PROBES}
-    return channels | {"tacho": tacho_of(phi), "time": t}
-
-
-def write_csv(path: Path, channels: dict[str, np.ndarray], rate: float | None = None) -> Path:
-    """Columns, with the time."""
-    pd.DataFrame(channels).round(9).to_csv(path, index=False)
-    return path
-
-
-def write_npz(path: Path, channels: dict[str, np.ndarray], rate: float) -> Path:
-    """An array a channel, and ``fs``."""
-    np.savez(path, **channels, fs=np.array([rate]))
-    return path
-
-
-CONTAINERS: dict[str, tuple[Callable[..., Path], str, dict[str, Any]]] = {
-    "csv": (write_csv, "", {"sample_rate": None, "time": "time", "time_unit": "s"}),
+CONTAINERS: dict[str, tuple[Callable[..., object], str, dict[str, Any]]] = {
+    "csv": (
+        lambda path, channels, rate: pd.DataFrame(channels).round(9).to_csv(path, index=False),
+        "",
+        {"sample_rate": None, "time": "time", "time_unit": "s"},
+    ),
     "h5": (write_hdf5, "", {"sample_rate": None, "sample_rate_attribute": "fs"}),
     "tdms": (write_tdms, "run/", {"sample_rate": None}),
-    "npz": (write_npz, "", {"sample_rate": None, "sample_rate_attribute": "fs"}),
+    "npz": (
+        lambda path, channels, rate: np.savez(path, **channels, fs=np.array([rate])),
+        "",
+        {"sample_rate": None, "sample_rate_attribute": "fs"},
+    ),
 }
 
 
 def signal_config(prefix: str, runs: list[dict[str, Any]], **changes: Any) -> dict[str, Any]:
     """Channels of a container."""
-    probes = probes_config(channel=lambda name: f"{prefix}{name}", scale=lambda name: SCALES[name])
-    tacho = {"channel": f"{prefix}tacho", "edge": "rising"}
-    return waves(probes=probes, tacho=tacho, runs=runs, sample_rate=f"{RATE} Hz") | changes
+    return {
+        **waves(runs=runs, sample_rate=f"{RATE} Hz"),
+        "probes": probes_config(channel=lambda name: f"{prefix}{name}", scale=lambda name: SCALES[name]),
+        "tacho": {"channel": f"{prefix}tacho", "edge": "rising"},
+        **changes,
+    }
 
 
 TRACKED = np.arange(800.0, 2501.0, 100.0)
@@ -185,14 +177,15 @@ TRACKED = np.arange(800.0, 2501.0, 100.0)
 def test_run_ups(ending: str, tmp_path: Path) -> None:
     """CSV, HDF5, TDMS and NPZ: the vectors of the grid within 0.02 %, runout subtracted, one negative scale."""
     write, prefix, clock = CONTAINERS[ending]
-    runs = [
-        run | {"file": str(write(tmp_path / f"{run['name']}.{ending}", run_up(TURNS[run["name"]]), RATE))}
-        for run in RUNS[: 2 if ending == "h5" else 1]
-    ]
-    section = signal_config(prefix, runs, **clock)
-    given = {name: {"amplitude": abs(v), "phase": f"{np.angle(v)} rad"} for name, v in RUNOUT.items()}
-    explicit = {"vectors": given, "amplitude": "zero_to_peak", "phase": "lead"}
-    dataset = read(section | {"slow_roll": explicit})
+    runs = [run | {"file": str(tmp_path / f"{run['name']}.{ending}")} for run in RUNS[: 2 if ending == "h5" else 1]]
+    for run in runs:
+        write(Path(run["file"]), run_up(TURNS[run["name"]]), RATE)
+    explicit = {
+        "vectors": {name: {"amplitude": abs(v), "phase": f"{np.angle(v)} rad"} for name, v in RUNOUT.items()},
+        "amplitude": "zero_to_peak",
+        "phase": "lead",
+    }
+    dataset = read(signal_config(prefix, runs, **clock, slow_roll=explicit))
     if len(runs) == 2:
         check_read(dataset, 2e-4, TRACKED)
     assert np.abs(dataset.displacement[:, 0, 0] / response(0, 0.0, TRACKED)[0] - 1).max() < 1.6e-4
@@ -212,10 +205,11 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
 def test_records_at_constant_speed(tmp_path: Path) -> None:
     """A file a speed, in any order, one vector each; then as they are, or interpolated."""
     speeds = [1207.0, 803.0, 1601.0]
-    runs = []
-    for run in RUNS:
-        files = [write_hdf5(tmp_path / f"{run['name']}{rpm}.h5", steady(rpm, TURNS[run["name"]])) for rpm in speeds]
-        runs.append(run | {"files": [str(path) for path in files]})
+    files = {
+        name: [str(write_hdf5(tmp_path / f"{name}{rpm}.h5", volts(2, turn, rpm))) for rpm in speeds]
+        for name, turn in TURNS.items()
+    }
+    runs = [run | {"files": files[run["name"]]} for run in RUNS]
     section = signal_config("", runs, records="constant_speed", speeds=None)
     dataset = read(section)
     assert dataset.speeds == pytest.approx(np.sort(speeds) * RPM, rel=1e-6)
@@ -226,18 +220,17 @@ def test_records_at_constant_speed(tmp_path: Path) -> None:
 
 def test_a_sharp_tacho_at_a_whole_number_of_samples_is_warned_of(tmp_path: Path) -> None:
     """All its phases are off together, and nothing in the record shows by how much."""
-    t = np.arange(8000) / RATE
-    phi = 2 * np.pi * 25 * t + 0.01
+    phi = 2 * np.pi * 25 * np.arange(8000) / RATE + 0.01
     channels = {name: SCALE[name] * rotating(np.array(1e-5), phi) for name in PROBES} | {"tacho": tacho_of(phi, 1e-6)}
     runs = [RUNS[0] | {"files": [str(write_hdf5(tmp_path / "a.h5", channels))]}]
-    words = notes(signal_config("", runs, records="constant_speed", speeds=None))
-    assert "all its phases may be off by 1.1 deg together" in words
+    section = signal_config("", runs, records="constant_speed", speeds=None)
+    assert "all its phases may be off by 1.1 deg together" in notes(section)
 
 
 def test_time_signals_of_a_universal_file(tmp_path: Path) -> None:
-    channels = {rpm: steady(rpm, 0.0) for rpm in (903.0, 1502.0)}
     files = []
-    for rpm, of in channels.items():
+    for rpm in (903.0, 1502.0):
+        of = volts(2, 0.0, rpm)
         sets = [uff_set(of["time"], of[name], 1, 1, [name], abscissa_spacing=1) for name in [*PROBES, "tacho"]]
         files.append(str(write_uff(tmp_path / f"{rpm}.uff", sets)))
     section = {
@@ -249,14 +242,17 @@ def test_time_signals_of_a_universal_file(tmp_path: Path) -> None:
         "shaft_angle": "from_x",
         "runs": [RUNS[0] | {"files": files}],
     }
-    dataset = read(section)
     true = response(0, 0.0, np.array([903.0, 1502.0]))[1]
-    assert dataset.displacement[:, 1, 0] == pytest.approx(true, rel=1e-3)
-    said = {key: value for key, value in UFF.items() if key != "length"} | {"voltage": "V"}
-    wrong = section | {"tacho": {}, "conventions": said, "signal_unit": None, "records": None}
-    wrong["runs"] = [RUNS[0] | {"file": files[0]}]
+    assert read(section).displacement[:, 1, 0] == pytest.approx(true, rel=1e-3)
+    wrong = {
+        "tacho": {},
+        "conventions": {key: value for key, value in UFF.items() if key != "length"} | {"voltage": "V"},
+        "signal_unit": None,
+        "records": None,
+        "runs": [RUNS[0] | {"file": files[0]}],
+    }
     with refused("must be a function of the speed, but it is one of the time: give the record of the tacho"):
-        read(wrong)
+        read(section | wrong)
 
 
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]

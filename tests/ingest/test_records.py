@@ -25,16 +25,15 @@ ROWS = (
 
 
 def configure(path: Path, **changed: object) -> RecordsConfig:
-    probes = {
-        "a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}},
-        "b": {"node": 1, "angle": "90 deg", "columns": {"real": "b_re", "imaginary": "b_im"}},
-    }
     given = {
         "format": "records",
         "file": str(path),
         "conventions": {"length": "mil", "amplitude": "peak_to_peak", "phase": "lag", "speed": "rpm"},
         "columns": {"speed": "rpm", "condition": "condition", "record": "acq"},
-        "probes": probes,
+        "probes": {
+            "a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}},
+            "b": {"node": 1, "angle": "90 deg", "columns": {"real": "b_re", "imaginary": "b_im"}},
+        },
         "weights": [{"node": 3, "unit": "g mm", "columns": {"real": "U_re", "imaginary": "U_im"}}],
         "shaft_angle": "against_rotation",
         "tacho": {"angle": "30 deg"},

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import refused
+from measured_files import probes_config
 from reading import parsed, read
 
 from benchmarks.ross_oracle import ross_rotor
@@ -40,8 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for run, weights in RUNS.items():
         nodes, sizes, phases = (list(part) for part in zip(*weights, strict=True))
         made.run_unbalance_response(nodes, sizes, phases, frequency=SPEEDS).save(place / f"{run}.toml")
-    time = np.linspace(0, 0.1, 20)
-    made.run_time_response(100.0, np.zeros((20, made.ndof)), time).save(place / "time.toml")
+    made.run_time_response(100.0, np.zeros((20, made.ndof)), np.linspace(0, 0.1, 20)).save(place / "time.toml")
     return place
 
 
@@ -55,16 +55,14 @@ def section(folder: Path, **changes: Any) -> dict[str, Any]:
         }
         for name, weights in RUNS.items()
     ]
-    probes = {name: {"node": node, "angle": f"{angle} deg"} for name, (node, angle) in PROBES.items()}
-    return {"format": "ross", "shaft_angle": "from_x", "probes": probes, "runs": runs} | changes
+    return {"format": "ross", "shaft_angle": "from_x", "probes": probes_config(PROBES), "runs": runs} | changes
 
 
 def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> None:
     found = read(section(folder))
     config = parsed(section(folder))
     acting = tuple(excitation for run in config.runs for excitation in list_acting(config, run))
-    rotor = assemble(ROTOR)
-    made = simulate(rotor, bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
+    made = simulate(assemble(ROTOR), bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
     made = project(made, ((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)))
     assert found.channels == made.channels
     assert found.runs == made.runs
@@ -74,30 +72,31 @@ def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> N
 
 
 def test_what_does_not_fit_is_named(folder: Path, tmp_path: Path) -> None:
-    runs = section(folder)["runs"]
+    one, two = section(folder)["runs"]
     with refused("must have the unbalances of its run", "but it says 0.001 kg m at node 3, 0.4 rad: write these"):
-        read(section(folder, runs=[runs[0] | {"unbalances": runs[1]["unbalances"]}]))
-    probes = {"A": {"node": 9, "angle": "0 deg"}, "B": {"node": 9, "angle": "90 deg"}}
+        read(section(folder, runs=[one | {"unbalances": two["unbalances"]}]))
     with refused("must have the node 9 of probe 'A', but it has 7 nodes: is it of another rotor?"):
-        read(section(folder, probes=probes))
-    with refused("must have ForcedResponseResults of ROSS, but it has TimeResponseResults", "run_unbalance_response"):
-        read(section(folder, runs=[runs[0] | {"file": str(folder / "time.toml")}]))
-    with refused("must exist"):
-        read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "none.toml")}]))
+        read(section(folder, probes=probes_config({"A": (9, 0.0), "B": (9, 90.0)})))
+    whole = (folder / "one.toml").read_text()
     (tmp_path / "a.json").write_text("{}")
-    with refused("must be TOML, but it is JSON, where ROSS leaves complex numbers out"):
-        read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "a.json")}]))
-    cut = (folder / "one.toml").read_text()
-    (tmp_path / "cut.toml").write_text(cut[: len(cut) // 2])
-    with refused("must be a response that ROSS saved, but it can't be read as one"):
-        read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "cut.toml")}]))
-    (tmp_path / "bad.toml").write_text(cut.replace("np.complex128(", "np.complex128(nan", 1))
-    with refused("must have complex numbers in forced_resp"):
-        read(section(folder, runs=[runs[0] | {"file": str(tmp_path / "bad.toml")}]))
+    (tmp_path / "cut.toml").write_text(whole[: len(whole) // 2])
+    (tmp_path / "bad.toml").write_text(whole.replace("np.complex128(", "np.complex128(nan", 1))
+    for path, *words in (
+        (
+            folder / "time.toml",
+            "must have ForcedResponseResults of ROSS, but it has TimeResponseResults",
+            "run_unbalance_response",
+        ),
+        (tmp_path / "none.toml", "must exist"),
+        (tmp_path / "a.json", "must be TOML, but it is JSON, where ROSS leaves complex numbers out"),
+        (tmp_path / "cut.toml", "must be a response that ROSS saved, but it can't be read as one"),
+        (tmp_path / "bad.toml", "must have complex numbers in forced_resp"),
+    ):
+        with refused(*words):
+            read(section(folder, runs=[one | {"file": str(path)}]))
 
 
 def test_ross_still_leaves_complex_numbers_out_of_json(folder: Path, tmp_path: Path) -> None:
     """Where a later ROSS writes them, JSON can be read as well."""
-    loaded = ross().ForcedResponseResults.load(folder / "one.toml")
-    loaded.save(tmp_path / "one.json")
+    ross().ForcedResponseResults.load(folder / "one.toml").save(tmp_path / "one.json")
     assert "null" in (tmp_path / "one.json").read_text()

@@ -6,26 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_records import configure, write
 
 from pipeline.config.measured import NoRecordingsConfig
 from pipeline.ingest.conventions import SourceUnits
-from pipeline.ingest.records import RecordsConfig
-
-TABLE = "name,rpm,acq,U_re,U_im,a_re,a_im\none,1000,1,3,4,1,2\ntwo,1500,1,-3,0.5,0.25,-7\n"
-
-
-def _configure(path: Path, **changed: object) -> RecordsConfig:
-    given = {
-        "format": "records",
-        "file": str(path),
-        "conventions": {"length": "mil", "amplitude": "peak_to_peak", "phase": "lag", "speed": "rpm"},
-        "columns": {"speed": "rpm", "condition": "name", "record": "acq"},
-        "probes": {"a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}}},
-        "weights": [{"node": 3, "unit": "g mm", "columns": {"real": "U_re", "imaginary": "U_im"}}],
-        "shaft_angle": "against_rotation",
-        "tacho": {"angle": "30 deg"},
-    }
-    return RecordsConfig.model_validate(given | changed)
 
 
 @pytest.mark.parametrize(
@@ -38,18 +22,17 @@ def _configure(path: Path, **changed: object) -> RecordsConfig:
 )
 @pytest.mark.parametrize("shaft_angle", ["with_rotation", "against_rotation", "from_x"])
 def test_what_is_read_comes_back(conventions: dict[str, str], shaft_angle: str, tmp_path: Path) -> None:
-    path = tmp_path / "records.csv"
-    path.write_text(TABLE, encoding="utf-8")
+    path = write(tmp_path / "records.csv", "one,1,1000,3,4,1,2,,\ntwo,1,1500,-3,0.5,0.25,-7,,\n")
     mounted = {"mounted": "shaft"} if "velocity" in conventions else {}
     probes = {"a": {"node": 1, "angle": "0 deg", "columns": {"real": "a_re", "imaginary": "a_im"}} | mounted}
-    config = _configure(path, conventions=conventions, shaft_angle=shaft_angle, probes=probes)
+    config = configure(path, conventions=conventions, shaft_angle=shaft_angle, probes=probes)
     records, source = config.read_records(), SourceUnits(config)
     np.testing.assert_allclose(source.vectors(records.displacement, records.speeds)[:, 0], [1 + 2j, 0.25 - 7j])
     np.testing.assert_allclose(source.weights(records.unbalance)[:, 0], [3 + 4j, -3 + 0.5j])
     assert source.unit == next(iter(conventions.values()))
     for angle in (0.0, 1.0, -2.0):
-        turned = source.weights(1e-6 * np.exp(1j * np.array([source.recordings.angle_from_x(angle)])))
-        np.testing.assert_allclose(turned, np.exp(1j * np.array([angle])))
+        unbalance = 1e-6 * np.exp(1j * np.array([source.recordings.angle_from_x(angle)]))
+        np.testing.assert_allclose(source.weights(unbalance), np.exp(1j * np.array([angle])))
 
 
 def test_without_a_table_of_records_it_is_micrometres_and_angles_from_x() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import assert_says
-from measured_files import PROBES, probes_config, rotating, write_hdf5
-from reading import RPM, RUNS, VOLTS, waves, with_ingest
+from measured_files import PROBES, rotating, tacho_of, write_hdf5
+from reading import RPM, RUNS, waves, with_ingest
 
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
 from pipeline.sweep.bias import measure_bias, respond_to_ramp
@@ -25,12 +25,12 @@ def measured(folder: Path, rate: float, **changes: Any) -> MeasuredRuns:
     phi = 2 * np.pi * (first * t + rate * t**2 / 2) / 60 + 0.3
     vectors = 1e-5 * respond_to_ramp(CRITICAL * RPM, DAMPING, (first + rate * t) * RPM, rate * RPM)
     turned = {name: np.exp(-1j * np.radians(angle)) for name, (_, angle) in PROBES.items()}
-    channels = {name: 8000.0 * rotating(turned[name] * vectors, phi) for name in PROBES}
-    notch = (np.mod(phi / (2 * np.pi) + 0.5, 1.0) - 0.5) * 45
-    channels["tacho"] = -10 + 8 * (np.clip(0.5 + notch, 0, 1) - np.clip(notch - 4, 0, 1))
-    runs = [RUNS[0] | {"file": str(write_hdf5(folder / "one.h5", channels))}]
-    speeds = {"start_rpm": 1000, "stop_rpm": 2300, "step_rpm": 20}
-    section = waves(probes=probes_config(**VOLTS), runs=runs, sample_rate=f"{SAMPLES} Hz", speeds=speeds)
+    channels = {name: 8000.0 * rotating(turned[name] * vectors, phi) for name in PROBES} | {"tacho": tacho_of(phi, 8.0)}
+    section = waves(
+        runs=[RUNS[0] | {"file": str(write_hdf5(folder / "one.h5", channels))}],
+        sample_rate=f"{SAMPLES} Hz",
+        speeds={"start_rpm": 1000, "stop_rpm": 2300, "step_rpm": 20},
+    )
     recordings = with_ingest(section | changes).machine.recordings
     assert recordings.format == "waveform"
     return read_measured_runs(recordings)
@@ -47,9 +47,8 @@ def test_a_fast_sweep_is_warned_of_with_its_bias(rate: float, tmp_path: Path) ->
     assert bias.frequency / RPM == pytest.approx(CRITICAL, rel=5e-3)
     assert bias.damping == pytest.approx(DAMPING, rel=0.1)
     assert bias.peak_shift == pytest.approx(true.peak_shift, rel=0.1)
-    words = " ".join(found.notes)
     assert_says(
-        words,
+        " ".join(found.notes),
         "run 'one' is no sequence of steady states: a sweep of 150 rpm/s reads the natural frequency of",
         f"too {'high' if rate > 0 else 'low'}",
     )

@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import refused
+from damaged import put
 from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, table_config, wide
 from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
+from test_motion import PAIR
 
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.csv_format import CsvConfig
@@ -66,10 +68,8 @@ def test_a_table_as_written_elsewhere(tmp_path: Path) -> None:
     runs = wide_runs(tmp_path)
     for run in runs:
         path = Path(run["file"])
-        table = pd.read_csv(path)
-        path.write_text("made by: someone\n\n" + table.to_csv(sep=";", decimal=",", index=False))
-    said = {"delimiter": ";", "decimal": ",", "skip_rows": 2}
-    check_read(read(table_config(runs, csv=said)))
+        path.write_text("made by: someone\n\n" + pd.read_csv(path).to_csv(sep=";", decimal=",", index=False))
+    check_read(read(table_config(runs, csv={"delimiter": ";", "decimal": ",", "skip_rows": 2})))
 
 
 def write_as_a_logger(table: pd.DataFrame) -> list[str]:
@@ -138,12 +138,10 @@ def test_interpolation_to_common_speeds(tmp_path: Path) -> None:
 def test_uneven_speeds_are_not_swung_through(tmp_path: Path) -> None:
     """Two rows at nearly one speed with different noise: no cubic overshoots between them."""
     rpm = np.sort(np.append(np.arange(500.0, 3001.0, 100.0), 1500.001))
-    vectors = seen(0.0, rpm)
-    noisy = {name: v * np.where(rpm == 1500.001, 1.05, 1.0) for name, v in vectors.of.items()}
+    noisy = {name: v * np.where(rpm == 1500.001, 1.05, 1.0) for name, v in seen(0.0, rpm).of.items()}
     runs = wide_runs(tmp_path, one=Vectors(rpm, noisy), two=seen(1.1, rpm))
-    speeds = {"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 50}
-    found = read(table_config(runs, speeds=speeds)).displacement[..., 0]
-    assert np.abs(found).max() < 1.1 * max(np.abs(v).max() for v in noisy.values()) * 2**0.5
+    found = read(table_config(runs, speeds={"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 50}))
+    assert np.abs(found.displacement[..., 0]).max() < 1.1 * max(np.abs(v).max() for v in noisy.values()) * 2**0.5
 
 
 def test_speeds_that_are_nearly_the_same(tmp_path: Path) -> None:
@@ -153,22 +151,9 @@ def test_speeds_that_are_nearly_the_same(tmp_path: Path) -> None:
 
 
 Damage = Callable[[pd.DataFrame], pd.DataFrame | str]
-
-
-def put(column: str, value: object, row: int = 3) -> Damage:
-    """A change of one cell."""
-
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        table = table.astype({column: object})
-        table.loc[row, column] = value
-        return table
-
-    return change
-
-
 BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
-    "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 5"),
-    "infinite": (put("B ph", np.inf), "must have finite numbers in the column 'B ph'", "row 5"),
+    "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 6"),
+    "infinite": (put("B ph", np.inf), "must have finite numbers in the column 'B ph'", "row 6"),
     "text": (put("speed", "fast"), "must have finite numbers in the column 'speed'", "'fast'"),
     "negative amplitude": (put("A amp", -2.0), "must have amplitudes of zero or more", "'A amp'"),
     "no speed": (put("speed", 0.0), "must have speeds above zero", "0 rpm"),
@@ -258,8 +243,7 @@ def test_runs_of_a_long_table_and_of_the_configuration(tmp_path: Path) -> None:
     with refused("'three' is not among them", "machine.recordings.leave_out"):
         read(table_config(RUNS, "long", file=str(path)))
     with refused("must have rows of run 'onee'", "did you mean 'one'?"):
-        more = [*RUNS, {"name": "onee", "unbalances": [DISC]}]
-        read(table_config(more, "long", file=str(path), leave_out=["three"]))
+        read(table_config([*RUNS, {"name": "onee", "unbalances": [DISC]}], "long", file=str(path), leave_out=["three"]))
     with refused("must have rows of probe 'AA' in run 'one'"):
         probes = probes_config() | {"AA": {"node": 1, "angle": "0 deg"}, "AB": {"node": 1, "angle": "90 deg"}}
         read(table_config(RUNS, "long", file=str(path), leave_out=["three"], probes=probes))
@@ -298,21 +282,18 @@ def test_lengths_that_are_a_thousand_times_too_large(tmp_path: Path) -> None:
     ],
 )
 def test_probes_that_do_not_give_x_and_y(probes: dict[str, Any], words: str) -> None:
-    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
     with refused(words, kind=ConfigError):
-        read(table_config([ONE], probes=probes_config(probes, **pair)))
+        read(table_config([ONE], probes=probes_config(probes, **PAIR)))
 
 
 def test_three_probes_at_a_node(tmp_path: Path) -> None:
     probes = PROBES | {"E": (0, 100.0)}
-    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
     runs = wide_runs(tmp_path)
     for sign, warned in ((1.0, False), (-1.0, True)):
         for run in runs:
-            vectors = seen(TURNS[run["name"]], probes=probes)
-            of = dict(vectors.of) | {"E": sign * vectors.of["E"]}
-            wide(Vectors(GRID, of)).to_csv(run["file"], index=False)
-        section = table_config(runs, probes=probes_config(probes, **pair))
+            vectors = seen(TURNS[run["name"]], probes=probes).of
+            wide(Vectors(GRID, {**vectors, "E": sign * vectors["E"]})).to_csv(run["file"], index=False)
+        section = table_config(runs, probes=probes_config(probes, **PAIR))
         assert ("the probes at node 0 contradict each other" in notes(section)) is warned
         if not warned:
             check_read(read(section))
@@ -332,19 +313,21 @@ def test_a_baseline_run_has_data_and_no_excitation(tmp_path: Path) -> None:
 
 
 def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
-    slow = np.array([100.0, 150.0, 200.0])
     runs = wide_runs(tmp_path)
     for run in runs:
-        vectors = seen(TURNS[run["name"]])
-        of = {name: np.append(np.full(3, RUNOUT[name]), v + RUNOUT[name]) for name, v in vectors.of.items()}
-        wide(Vectors(np.append(slow, GRID), of)).to_csv(run["file"], index=False)
+        turning = seen(TURNS[run["name"]]).of
+        of = {name: np.append(np.full(3, RUNOUT[name]), v + RUNOUT[name]) for name, v in turning.items()}
+        wide(Vectors(np.append([100.0, 150.0, 200.0], GRID), of)).to_csv(run["file"], index=False)
     speeds = {"start_rpm": 500, "stop_rpm": 3000, "step_rpm": 250}
     check_read(read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 300})), 1e-9)
-    given = {
-        name: {"amplitude": f"{2 * abs(v) / 25.4e-6} mil", "phase": f"{-np.degrees(np.angle(v))} deg"}
-        for name, v in RUNOUT.items()
+    explicit = {
+        "vectors": {
+            name: {"amplitude": f"{2 * abs(v) / 25.4e-6} mil", "phase": f"{-np.degrees(np.angle(v))} deg"}
+            for name, v in RUNOUT.items()
+        },
+        "amplitude": "peak_to_peak",
+        "phase": "lag",
     }
-    explicit = {"vectors": given, "amplitude": "peak_to_peak", "phase": "lag"}
     check_read(read(table_config(runs, speeds=speeds, slow_roll=explicit)), 1e-9)
     with refused("run 'one' must have speeds below machine.recordings.slow_roll.below_rpm=50", "the lowest is 100 rpm"):
         read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 50}))
@@ -353,8 +336,12 @@ def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
 def test_forces_of_either_whirl_and_of_their_own_frequency(tmp_path: Path) -> None:
     """A run may be excited by forces; an asynchronous one is written with its frequency."""
     runs = wide_runs(tmp_path)
-    force = {"node": 1, "magnitude": "12 N", "phase": "20 deg", "whirl": "backward"}
-    runs[1] = {"name": "two", "file": runs[1]["file"], "forces": [force], "frequency_ratio": 0.5}
+    runs[1] = {
+        "name": "two",
+        "file": runs[1]["file"],
+        "forces": [{"node": 1, "magnitude": "12 N", "phase": "20 deg", "whirl": "backward"}],
+        "frequency_ratio": 0.5,
+    }
     dataset = read(table_config(runs))
     assert dataset.excitations[1].whirl == "backward"
     assert dataset.excitations[1].phase == pytest.approx(np.radians(20))
@@ -386,11 +373,9 @@ def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
     frame.to_excel(tmp_path / "t.xlsx", index=False)
     kinds = {"run": "text", "a": "number", "b": "number or blank"}
     csv, excel = (read_table(tmp_path / f"t.{ending}", kinds) for ending in ("csv", "xlsx"))
-    assert csv["run"].tolist() == excel["run"].tolist() == ["007", "NA", "x"]
-    for name in ("a", "b"):
-        np.testing.assert_array_equal(csv[name], excel[name])
-    frame.assign(a=pd.Timestamp("2026-05-01")).to_excel(tmp_path / "date.xlsx", index=False)
-    frame.assign(a=True).to_excel(tmp_path / "true.xlsx", index=False)
-    for name in ("date", "true"):
+    assert csv["run"].tolist() == ["007", "NA", "x"]
+    np.testing.assert_equal(dict(csv), dict(excel))
+    for value in (pd.Timestamp("2026-05-01"), True):
+        frame.assign(a=value).to_excel(tmp_path / "t.xlsx", index=False)
         with refused("must have finite numbers in the column 'a', but row 2 has"):
-            read_table(tmp_path / f"{name}.xlsx", kinds)
+            read_table(tmp_path / "t.xlsx", kinds)
