@@ -178,7 +178,9 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
     fit = fit_of(whole, dataset, 0.01, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
-    assert worst(whole, fit) < 0.01
+    found = worst(whole, fit)
+    print(100 * found)
+    assert found < 0.01
 
 
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
