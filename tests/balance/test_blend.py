@@ -68,5 +68,4 @@ def test_one_column_is_the_shrunk_mean(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found.predict(none)[1][0], size / (1 + n * size) * covariance, rtol=1e-9)
     # The mean's distance is D (1 + n lambda) on average: to that of the grid which is nearest.
     square = n * (mean.conj() @ np.linalg.solve(covariance, mean)).real / SIZE
-    best = max(square - 1, 0) / n
-    assert size == pytest.approx(best, rel=10 ** (8 / 24) - 1)
+    assert size == pytest.approx(max(square - 1, 0) / n, rel=10 ** (8 / 24) - 1)

@@ -35,24 +35,28 @@ def _random(seed: int, rows: int, planes: int) -> tuple[np.ndarray, np.ndarray]:
     return values[:, :planes], 1e-4 * values[:, planes]
 
 
+def _chosen_as_tried(
+    acting: np.ndarray, there: np.ndarray, planes: list[Holes]
+) -> tuple[tuple[tuple[Weight, ...], ...], np.ndarray]:
+    """The weights and their unbalances, which leave as little as the best of all choices."""
+    tried = [np.linalg.norm(acting @ list(c) + there) for c in product(*map(_every_choice, planes))]
+    chosen, unbalance = choose_weights(acting, there, planes)
+    assert np.linalg.norm(acting @ unbalance + there) == pytest.approx(min(tried), rel=1e-9)
+    return chosen, unbalance
+
+
 @pytest.mark.slow
 @given(st.integers(0, 10_000), st.sampled_from([(6, 2, 2), (5, 3, 1), (4, 2, 2)]))
 @examples(20)
 def test_the_search_finds_what_trying_every_choice_finds(seed: int, size: tuple[int, int, int]) -> None:
     count, masses, most = size
     planes = [_holes(count, most, tuple(1e-3 * (1 + np.arange(masses)))), _holes(count, 1, (2e-3, 5e-3), 1.0)]
-    acting, there = _random(seed, 5, 2)
-    tried = [np.linalg.norm(acting @ list(c) + there) for c in product(*map(_every_choice, planes))]
-    _, made = choose_weights(acting, there, planes)
-    assert np.linalg.norm(acting @ made + there) == pytest.approx(min(tried), rel=1e-9)
+    _chosen_as_tried(*_random(seed, 5, 2), planes)
 
 
 def test_three_planes_and_the_masses_of_the_answer() -> None:
     planes = [_holes(4, 1, (1e-3, 3e-3))] * 3
-    acting, there = _random(1, 6, 3)
-    tried = [np.linalg.norm(acting @ list(c) + there) for c in product(_every_choice(planes[0]), repeat=3)]
-    chosen, unbalance = choose_weights(acting, there, planes)
-    assert np.linalg.norm(acting @ unbalance + there) == pytest.approx(min(tried), rel=1e-9)
+    chosen, unbalance = _chosen_as_tried(*_random(1, 6, 3), planes)
     for weights, one, made in zip(chosen, planes, unbalance, strict=True):
         assert all(w.mass in (1e-3, 3e-3) for w in weights)
         assert sum(w.mass * one.unit[w.hole - 1] for w in weights) == pytest.approx(made)
@@ -107,8 +111,7 @@ def test_one_weight_of_any_mass_a_plane(seed: int) -> None:
     found, fine = remain(planes), tuple(np.linspace(1e-4, 2e-2, 40))
     assert found <= remain([Holes(p.angles, p.radius, fine, 1) for p in planes]) * (1 + 1e-12)
     split = remain([Holes(p.angles, p.radius, None, 2) for p in planes])
-    best = acting @ np.linalg.lstsq(acting, -there, rcond=None)[0] + there
-    assert split == pytest.approx(np.linalg.norm(best))
+    assert split == pytest.approx(np.linalg.norm(acting @ np.linalg.lstsq(acting, -there, rcond=None)[0] + there))
     assert split <= found * (1 + 1e-12)
 
 

@@ -27,8 +27,7 @@ def draw(
 
 def test_growth_is_found_and_widens_the_bands_of_heavy_weights() -> None:
     rng = np.random.default_rng(0)
-    machine = truth(rng)
-    conditions = draw(rng, machine, 60)
+    conditions = draw(rng, truth(rng), 60)
     found, chance = fit_growth(conditions.vectors, design_of(conditions.unbalance), conditions.unbalance)
     assert GROWTH / 3 < found < 3 * GROWTH
     assert chance < 1e-3

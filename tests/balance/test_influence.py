@@ -14,8 +14,7 @@ LAW = (0.15 + 0.03j) / (60 * GRAM)
 
 def test_data_without_noise_give_the_coefficients_back() -> None:
     """Three conditions determine baseline and influence; more add nothing."""
-    rng = np.random.default_rng(0)
-    machine = truth(rng)
+    machine = truth(np.random.default_rng(0))
     unbalance = np.array([[0, 0], [48, 0], [0, 48j]]) * GRAM
     model = fit_influence(machine.gather(unbalance, machine.mean(unbalance)))
     assert model.coefficients[0] == pytest.approx(machine.baseline, rel=1e-9)
@@ -50,12 +49,10 @@ def test_the_derivative_is_that_of_the_prediction() -> None:
 
 
 def test_weights_that_never_differ_are_refused() -> None:
-    rng = np.random.default_rng(3)
-    machine = truth(rng)
-    unbalance = np.array([[1, 1], [2, 2], [3, 3j], [0, 0]]) * GRAM
-    conditions = machine.gather(unbalance, machine.mean(unbalance))
+    machine = truth(np.random.default_rng(3))
+    unbalance = np.array([[1, 1], [2, 2], [0, 0]]) * GRAM
     with pytest.raises(IdentifiabilityError, match="trial weight in each plane"):
-        fit_influence(conditions.of([0, 1, 3]))
+        fit_influence(machine.gather(unbalance, machine.mean(unbalance)))
 
 
 @pytest.mark.slow

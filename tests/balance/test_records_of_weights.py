@@ -82,8 +82,7 @@ def test_bands_and_chances_hold_what_they_say() -> None:
 
 
 def test_a_moved_probe_and_a_wrong_label_are_told_apart() -> None:
-    unbalance = _weights(np.random.default_rng(4), 3)
-    records = _records(unbalance)
+    records = _records(_weights(np.random.default_rng(4), 3))
     moved = records.displacement.copy()
     moved[:4, 1] += 5e-6  # of the first condition
     label = records.unbalance.copy()

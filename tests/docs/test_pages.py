@@ -53,8 +53,7 @@ def test_a_link_leads_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_site_reads_a_page_as_git_does(page: Path) -> None:
     """Python-Markdown wants a blank line before a list, and four spaces where a list goes on after one."""
-    lines = ["", *page.read_text(encoding="utf-8").splitlines()]
-    pairs = list(itertools.pairwise(lines))
+    pairs = list(itertools.pairwise(["", *page.read_text(encoding="utf-8").splitlines()]))
     lists = [line for before, line in pairs if _ITEM.match(line) and _PARAGRAPH.match(before)]
     blocks = [line for before, line in pairs if re.match(r" {2,3}\S", line) and not before]
     assert lists + blocks == []

@@ -83,8 +83,7 @@ def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
     """The root that they are made with, squared and inverted, is the covariance of readings with one baseline; what a
     shaker reads shares nothing.
     """
-    clean = clean_of(rotor_of, SHAKER)
-    measurement = measured(rotor_of, clean, 0)
+    measurement = measured(rotor_of, clean_of(rotor_of, SHAKER), 0)
     found = fit_output_error(measurement, setup_of(CONFIG))
     whole = reweigh(found.problem, found.weights, found.factor, robust=False)
     turned = 0
@@ -94,9 +93,8 @@ def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
         count, floor = len(runs), measurement.noise.additive
         unit = torch.eye(count, dtype=torch.float64).expand(1, *whole.readings.precision[b].shape[1:3], -1, -1)
         root = whole.readings.whiten(b, unit * whole.readings.precision[b][..., None])[0, 0, 0].numpy()
-        shared = 1.0 if count == 3 else 0.0
         turned += count == 3
-        wanted = floor**2 / 2 * (np.eye(count) + shared)
+        wanted = floor**2 / 2 * (np.eye(count) + (count == 3))
         np.testing.assert_allclose(np.linalg.inv(root.T @ root), wanted, rtol=1e-9, atol=1e-12 * floor**2)
     assert turned == 1
 

@@ -53,15 +53,13 @@ def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
 def test_the_next_run_leaves_what_it_promises() -> None:
     """The same run at the speed that was named besides, without noise in the readings: the same information."""
     measurement, _ = small_machine(DIRECT, (0.3, 0.3), TWO, noise=0.0)
-    one = replace(measurement, dataset=measurement.dataset.of_runs(np.array([0])))
-    found = combine(one, SETUP)
+    found = combine(replace(measurement, dataset=measurement.dataset.of_runs(np.array([0]))), SETUP)
     assert found is not None
     assert found.next_run is not None
     assert found.next_run.deviation < 0.8 * found.weakest.deviation
     more, _ = small_machine(DIRECT, (0.3, 0.3), np.sort([*TWO, found.next_run.speed]), noise=0.0)
     start = prepare_output_error(replace(more, dataset=more.dataset.of_runs(np.array([0]))), SETUP)
-    direction = np.array(list(found.weakest.shares.values()))
-    along = direction @ _share(start.problem, start.weights)
+    along = np.array(list(found.weakest.shares.values())) @ _share(start.problem, start.weights)
     left = _deviation(start.problem.normal(start.weights)[1][0, 0], along)
     assert left == pytest.approx(found.next_run.deviation, rel=1e-3)
     assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in describe_combinations(found)

@@ -51,12 +51,11 @@ def test_problem_jacobian_equals_autograd(
 ) -> None:
     """What Levenberg-Marquardt steps by is the derivative of the rows that the loss squares."""
     setup = setup_of(hydrostatic, optimizer(lm=1), parametrisation)
-    kind: dict[str, object] = {"width": 3, "depth": depth}
-    model = hydrostatic.config.model.model_copy(update=kind | {"parametrisation": parametrisation})
+    kind = {"width": 3, "depth": depth, "parametrisation": parametrisation}
+    model = hydrostatic.config.model.model_copy(update=kind)
     if depth is None:
         model = compose_config(["experiment=ball_bearing", f"model.parametrisation={parametrisation}"]).model
-    few = np.arange(0, 60, 9)
-    measurement = asked(hydrostatic, "kxx", "kyy", "cxx", shared=tied).select(few)
+    measurement = asked(hydrostatic, "kxx", "kyy", "cxx", shared=tied).select(np.arange(0, 60, 9))
     prepared = prepare_residual(measurement, replace(setup, model=model))
     shape = (1, 1 if tied else 2, prepared.problem.model.n_parameters)
     parameters = 0.3 * torch.randn(*shape, generator=generator, dtype=torch.float64)
@@ -206,12 +205,11 @@ def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> No
     torch.testing.assert_close(tied.problem.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
 
 
-def test_known_answer_has_zero_gradient(ball: Machine) -> None:
+def test_known_answer_has_zero_gradient(ball: Machine, generator: torch.Generator) -> None:
     """At the modelled coefficients J^T r is 1e-9 of what it is 1 % away, and the loss is rounding."""
     names = ("kxx", "kyy", "cxx", "cyy")
     prepared = prepare_residual(asked(ball, *names), setup_of(ball, optimizer(lm=1)))
     true = np.stack([ball.bearings.coefficient(name)[:, 0] for name in names], axis=-1)
-    generator = torch.Generator().manual_seed(0)
     gradients = []
     for guess in (true, 1.01 * true):
         at = prepared.problem.model.initial_parameters(guess, generator)[None]
@@ -229,8 +227,7 @@ def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng:
     noisy = replace(hydrostatic.dataset, displacement=data + 1e-5 * np.abs(data) * noise)
     setup = setup_of(hydrostatic, optimizer(lm=60))
     constant = compose_config(["experiment=ball_bearing"]).model
-    measurement = replace(asked(hydrostatic), dataset=noisy)
-    prepared, batch = trained(measurement, replace(setup, model=constant), [1e6])
+    prepared, batch = trained(replace(asked(hydrostatic), dataset=noisy), replace(setup, model=constant), [1e6])
     problem = prepared.problem
     wanted = [np.linalg.lstsq(problem.matrix[b, 0].numpy(), -problem.offset[b, 0].numpy())[0] for b in range(2)]
     found = prepared.identified(batch.parameters[0]).values(hydrostatic.speeds[:1])[:, 0]
@@ -243,10 +240,9 @@ def test_held_out_speeds(count: int, every: int) -> None:
     """Every k-th speed, never the first and the last; at least half of the speeds are trained on."""
     mask = held_out_speeds(count, every)
     assert mask.shape == (count,)
-    held = np.flatnonzero(mask)
     assert mask.sum() <= count / 2
     assert not mask[[0, -1]].any()
-    assert (np.diff(held) == every).all()
+    assert (np.diff(np.flatnonzero(mask)) == every).all()
     if every and count > every + 1:
         assert abs(mask.sum() - count / every) <= 1
 
@@ -254,9 +250,8 @@ def test_held_out_speeds(count: int, every: int) -> None:
 def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     """A spoiled measurement at a held-out speed leaves the trained problem alone, and shows in the other."""
     setup = setup_of(hydrostatic, optimizer(lm=1), holdout_every=10)
-    mask = held_out_speeds(60, 10)
-    data = hydrostatic.dataset
-    spoiled = replace(data, displacement=data.displacement * np.where(mask, 1.3, 1.0)[:, None, None])
+    data, size = hydrostatic.dataset, np.where(held_out_speeds(60, 10), 1.3, 1.0)
+    spoiled = replace(data, displacement=data.displacement * size[:, None, None])
     clean, other = (prepare_residual(replace(asked(hydrostatic), dataset=one), setup) for one in (data, spoiled))
     parameters = initial_parameters(clean, setup, 0)
     other_train = replace(other.problem, scale=clean.problem.scale)

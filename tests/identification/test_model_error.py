@@ -65,8 +65,7 @@ def only(measurement: Measurement, *kinds: str) -> Measurement:
 def worst_error(fit: OutputErrorFit, truth: BearingTable) -> float:
     """Percent."""
     found = fit.identified.table(fit.problem.measurement.updated_known).values
-    changed = np.abs(found / truth.values - 1)[..., [0, 3]]
-    return 100 * float(changed.mean(axis=1).max())
+    return 100 * float(np.abs(found / truth.values - 1)[..., [0, 3]].mean(axis=1).max())
 
 
 @pytest.fixture(scope="module")

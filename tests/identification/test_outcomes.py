@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +19,15 @@ from pipeline.config.identification import OptimizerConfig
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.residual_loss import ResidualProblem, initial_parameters, prepare_residual
+from pipeline.identification.model import CoefficientModel
+from pipeline.identification.residual_loss import (
+    ResidualProblem,
+    ResidualTraining,
+    initial_parameters,
+    prepare_residual,
+)
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
-from pipeline.identification.training import Outcome
+from pipeline.identification.training import FitSetup, Minimum, Outcome
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -38,15 +44,18 @@ def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerC
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-12, abs=1e-14)
 
 
+def three_seeds(prepared: ResidualTraining, setup: FitSetup) -> tuple[Minimum, list[Minimum]]:
+    """Networks from three seeds trained together, and each alone."""
+    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
+    return minimised(prepared, torch.cat(parts), setup), [minimised(prepared, part, setup) for part in parts]
+
+
 def test_seeds_of_a_network_trained_together(hydrostatic: Machine) -> None:
     """The same for networks from several seeds, where members share no numbers but the data."""
     setup = setup_of(hydrostatic, optimizer(adam=15))
     setup = replace(setup, model=setup.model.model_copy(update={"width": 6}))
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = minimised(prepared, torch.cat(parts), setup)
-    for g, part in enumerate(parts):
-        alone = minimised(prepared, part, setup)
+    together, each = three_seeds(prepare_residual(asked(hydrostatic), setup), setup)
+    for g, alone in enumerate(each):
         torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
 
 
@@ -61,15 +70,11 @@ def test_a_training_that_is_over_stays_while_others_go_on(phases: OptimizerConfi
             update={"levenberg_marquardt": setup.optimizer.levenberg_marquardt.model_copy(update={"patience": 2})}
         ),
     )
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    parts = [initial_parameters(prepared, setup, seed) for seed in range(3)]
-    together = minimised(prepared, torch.cat(parts), setup)
-    steps = set()
-    for g, part in enumerate(parts):
-        alone = minimised(prepared, part, setup)
-        steps.add(alone.steps)
+    together, each = three_seeds(prepare_residual(asked(hydrostatic), setup), setup)
+    for g, alone in enumerate(each):
         assert together.outcomes[g] is alone.outcomes[0]
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-6)
+    steps = {alone.steps for alone in each}
     assert len(steps) > 1
     assert together.steps == max(steps)
 
@@ -198,26 +203,21 @@ def test_too_few_runs_are_refused_before_training(ball: Machine) -> None:
         fit(asked(ball, *COEFFICIENTS), setup)
 
 
-@pytest.fixture
-def saved(tmp_path: Path, generator: torch.Generator) -> tuple[Path, IdentifiedModel]:
-    """A model with random numbers and its folder."""
-    model = a_model(2)
-    parameters = torch.randn(2, model.n_parameters, generator=generator, dtype=torch.float64)
-    identified = IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
-    assert sorted(path.name for path in save_model(tmp_path, identified)) == sorted([ARCHITECTURE, WEIGHTS])
-    return tmp_path, identified
+def drawn(model: CoefficientModel, generator: torch.Generator) -> IdentifiedModel:
+    """A model with random numbers."""
+    shape = (len(model.scale), model.n_parameters)
+    parameters = torch.randn(*shape, generator=generator, dtype=torch.float64)
+    return IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
 
 
 @pytest.mark.parametrize("depth", [None, 1, 3])
 def test_storage_round_trip(depth: int | None, tmp_path: Path, generator: torch.Generator) -> None:
     """What is saved comes back with the same bits, architecture and scaling included."""
-    model = a_model(depth, "silu", members=1)
-    parameters = torch.randn(1, model.n_parameters, generator=generator, dtype=torch.float64)
-    identified = IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
-    save_model(tmp_path, identified)
+    identified = drawn(a_model(depth, "silu", members=1), generator)
+    assert sorted(path.name for path in save_model(tmp_path, identified)) == sorted([ARCHITECTURE, WEIGHTS])
     loaded = load_model(tmp_path)
-    assert (loaded.model, loaded.bearing_nodes) == (model, (1, 5))
-    assert torch.equal(loaded.parameters, parameters)
+    assert (loaded.model, loaded.bearing_nodes) == (identified.model, (1, 5))
+    assert torch.equal(loaded.parameters, identified.parameters)
     speeds = np.array([10.0, 200.0, 601.0])
     np.testing.assert_array_equal(loaded.values(speeds), identified.values(speeds))
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
@@ -228,19 +228,12 @@ def _truncate(folder: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
 
 
-def _change(**values: object) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        path = folder / ARCHITECTURE
-        path.write_text(json.dumps(json.loads(path.read_text()) | values))
-
-    return change
+def _described(folder: Path) -> Any:
+    return json.loads((folder / ARCHITECTURE).read_text())
 
 
-def _drop_a_layer(folder: Path) -> None:
-    path = folder / ARCHITECTURE
-    description = json.loads(path.read_text())
-    description["model"]["hidden"] = [3]
-    path.write_text(json.dumps(description))
+def _change(folder: Path, **values: object) -> None:
+    (folder / ARCHITECTURE).write_text(json.dumps(_described(folder) | values))
 
 
 DAMAGES = {
@@ -250,20 +243,20 @@ DAMAGES = {
     "no architecture": lambda folder: (folder / ARCHITECTURE).unlink(),
     "architecture is no JSON": lambda folder: (folder / ARCHITECTURE).write_text("{"),
     "architecture is a list": lambda folder: (folder / ARCHITECTURE).write_text("[]"),
-    "older schema": _change(schema=0),
-    "model is a list": _change(model=[1]),
-    "model has no fields": _change(model={}),
-    "another architecture": _drop_a_layer,
+    "older schema": lambda folder: _change(folder, schema=0),
+    "model is a list": lambda folder: _change(folder, model=[1]),
+    "model has no fields": lambda folder: _change(folder, model={}),
+    "another architecture": lambda folder: _change(folder, model=_described(folder)["model"] | {"hidden": [3]}),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_model_is_refused(damage: str, saved: tuple[Path, IdentifiedModel]) -> None:
+def test_damaged_model_is_refused(damage: str, tmp_path: Path, generator: torch.Generator) -> None:
     """Weights are data, never code: what does not fit is refused with a sentence, not with a traceback."""
-    folder, _ = saved
-    DAMAGES[damage](folder)
+    save_model(tmp_path, drawn(a_model(2), generator))
+    DAMAGES[damage](tmp_path)
     with pytest.raises(DataError, match="must"):
-        load_model(folder)
+        load_model(tmp_path)
 
 
 @pytest.mark.slow

@@ -22,8 +22,7 @@ SPEEDS = np.linspace(60.0, 300.0, 9)
 def tolerant(stated: tuple[str, ...] = ()) -> Measurement:
     """A machine whose shaft, weights and probes are known as well as they usually are."""
     measurement, _ = small_machine(DIRECT, (0.3, 0.3), SPEEDS)
-    data = measurement.dataset
-    given = usual_tolerances(stated, measurement.rotor, data, measurement.known, measurement.unknowns)
+    given = usual_tolerances(stated, measurement.rotor, measurement.dataset, measurement.known, measurement.unknowns)
     return replace(measurement, tolerances=given)
 
 
@@ -55,8 +54,7 @@ def test_each_kind_is_a_part_of_the_whole() -> None:
     whole = fit(measurement, SETUP)
     assert whole.uncertainty is not None
     assert whole.uncertainty.unfitted.names == list(USUAL)
-    kind = "probe_gain"
-    assert len(whole.uncertainty.unfitted.select(kind).kinds) == len(measurement.dataset.channels)
+    assert len(whole.uncertainty.unfitted.select("probe_gain").kinds) == len(measurement.dataset.channels)
     assert (
         np.linalg.eigvalsh(whole.uncertainty.without_tolerances).min()
         > -1e-9 * np.abs(whole.uncertainty.without_tolerances).max()

@@ -134,9 +134,8 @@ def test_there_must_be_hidden_layers(model: str) -> None:
 
 
 def test_halves_need_four_speeds() -> None:
-    few = task(Case(0.01, "bearings", 3), *FILM)
     with pytest.raises(ConfigError, match="4 training speeds or more, which it halves, but got 3"):
-        fit(few, setup())
+        fit(task(Case(0.01, "bearings", 3), *FILM), setup())
 
 
 def test_other_losses_train_all_layers_anyway() -> None:

@@ -28,8 +28,7 @@ def test_mixing_whitens_what_the_levels_draw(rng: np.random.Generator) -> None:
     for r, count in enumerate(counts):
         drawn = circular(rng, draws, SIZE) @ drift.T + circular(rng, draws, SIZE) @ own.T / np.sqrt(count)
         white = (drawn / noise.deviation()[..., r].ravel()) @ noise.mixing()[r].T
-        covariance = white.T @ white.conj() / draws
-        assert abs(covariance - np.eye(SIZE)).max() < 4 / np.sqrt(draws)
+        assert abs(white.T @ white.conj() / draws - np.eye(SIZE)).max() < 4 / np.sqrt(draws)
 
 
 def test_a_part_of_the_noise_is_that_of_the_part(rng: np.random.Generator) -> None:
@@ -54,10 +53,10 @@ def test_residuals_show_their_covariance_without_bias(rng: np.random.Generator) 
     """On average over 40 sets of 60 residuals of Gaussian noise, whose fit took 12 real numbers."""
     before = some_noise(rng, np.full(60, 3))
     truth_of = before.covariance()[0]
-    root, found = np.linalg.cholesky(truth_of), []
+    root = np.linalg.cholesky(truth_of)
     share = np.sqrt(1 - 12 / (2 * SIZE) / 60)  # what a fit leaves of the noise
-    for _ in range(40):
-        found.append(follow_residuals(before, share * circular(rng, 60, SIZE) @ root.T, 12).covariance()[0])
+    left = (share * circular(rng, 60, SIZE) @ root.T for _ in range(40))
+    found = [follow_residuals(before, residuals, 12).covariance()[0] for residuals in left]
     ratio = np.linalg.solve(truth_of, np.mean(found, axis=0))
     assert np.trace(ratio).real / SIZE == pytest.approx(1.0, abs=0.03)
     assert abs(ratio - np.eye(SIZE)).max() < 0.15
@@ -69,11 +68,9 @@ def test_one_bad_condition_does_not_fool_the_levels(rng: np.random.Generator) ->
     good = machine.draw(rng, 40)
     vectors = good.vectors.copy()
     vectors[7] += machine.influence @ np.array([4e-5, 0.0])
-    bad = machine.gather(good.unbalance, vectors)
-    clean, found = condition_noise(good), condition_noise(bad)
+    clean, found = condition_noise(good), condition_noise(machine.gather(good.unbalance, vectors))
     assert found.weights[7] < NAMED < np.delete(found.weights, 7).min()
-    sizes = [np.trace(one.levels.condition).real for one in (clean, found)]
-    assert sizes[1] == pytest.approx(sizes[0], rel=0.2)
+    assert np.trace(found.levels.condition) == pytest.approx(np.trace(clean.levels.condition), rel=0.2)
 
 
 def test_a_law_of_the_weights_is_no_noise(rng: np.random.Generator) -> None:

@@ -87,6 +87,5 @@ def sum_shaft_stiffness(rotor: Any) -> np.ndarray:
     """(ndof, ndof) N/m of ROSS's shaft elements alone."""
     total = np.zeros((rotor.ndof, rotor.ndof))
     for element in rotor.shaft_elements:
-        where = np.ix_(*[list(element.dof_global_index.values())] * 2)
-        total[where] += element.K()
+        total[np.ix_(*[list(element.dof_global_index.values())] * 2)] += element.K()
     return total

@@ -48,9 +48,7 @@ def test_constants_need_no_row_a_speed(way: str, run: Run, base: Config, mine: P
         "values": lambda: KnownConfig.model_validate(values(mine)),
         "bearings": lambda: "bearings",
     }
-    known = ways[way]()
-    given = measured(mine).model_copy(update={"known": known})
-    run("train", base, mine.parent / "output", data=given)
+    run("train", base, mine.parent / "output", data=measured(mine).model_copy(update={"known": ways[way]()}))
     assert answers(mine.parent / "output") == answers(mine)
 
 
@@ -62,9 +60,8 @@ def test_no_known_file_where_all_eight_are_identified(mine: Path) -> None:
 
 
 def test_what_is_needed_and_missing_is_named(base: Config, mine: Path, run: Run) -> None:
-    without = measured(mine).model_copy(update={"known": None})
     with refused("but nothing gives kxy, kyx, cxx, cxy, cyx, cyy", "{kxy: 0 N/m, ", "data.known", kind=ConfigError):
-        run("train", base, mine.parent / "output", data=without)
+        run("train", base, mine.parent / "output", data=measured(mine).model_copy(update={"known": None}))
     some = KnownConfig.model_validate({key: value for key, value in values(mine).items() if key != "cyx"})
     with refused("data.known must have a value of every", "cyx is missing", kind=ConfigError):
         load_known(base, some, "data.known", (0, 2), SPEEDS)

@@ -46,8 +46,7 @@ def measured(
     temperatures: Sequence[float], oil: Mapping[str, Any] = OIL, bearing: Mapping[str, Any] = BEARING
 ) -> Measurement:
     """Readings at six speeds and each of the temperatures (K), at bearings as the laws' guesses have them."""
-    speeds = np.tile(SPEEDS, len(temperatures))
-    made, _ = small_machine((1e6, 0, 0, 1e6, 1e3, 0, 0, 1e3), speeds=speeds)
+    made, _ = small_machine((1e6, 0, 0, 1e6, 1e3, 0, 0, 1e3), speeds=np.tile(SPEEDS, len(temperatures)))
     section = LawsConfig.model_validate({"oil": oil, "bearings": dict.fromkeys((0, 5), bearing)})
     made = replace(made, laws=make_laws(section, (0, 5)), noise=NoiseModel(1e-9, 0.0))
     return at_state(made, {"oil_temperature": np.repeat(temperatures, len(SPEEDS))})
@@ -105,8 +104,7 @@ def test_a_warmer_oil_is_read_as_if_it_had_been_measured() -> None:
     """The information of one more temperature adds up."""
     temperature, found = try_warmer(measured([WARM])) or pytest.fail("no temperature to add")
     np.testing.assert_allclose(temperature, WARM + FURTHER)
-    direct = inform(measured([WARM, WARM + FURTHER]))
-    np.testing.assert_allclose(found.deviation, direct.deviation, rtol=1e-6)
+    np.testing.assert_allclose(found.deviation, inform(measured([WARM, WARM + FURTHER])).deviation, rtol=1e-6)
     assert try_warmer(measured([WARM], KNOWN_OIL, BEARING | {"static_load": {"guess": "60 N"}})) is None
 
 

@@ -106,12 +106,10 @@ def test_a_bearing_that_drifts_is_another_one_in_that_run(measurement: Measureme
     alone = replace(measurement, parameters=(measurement.parameters[at],), values=())
     model, none = sensor_model(alone), torch.zeros(1, 0, dtype=torch.float64)
     values = torch.as_tensor(alone.known.values[..., [0, 3]].swapaxes(0, 1).reshape(1, 7, -1))
-    unbalance = torch.zeros(1, 1, dtype=torch.complex128)
-    (moved,) = model.predict(values, unbalance, none.new_ones(1, 1))
+    (moved,) = model.predict(values, torch.zeros(1, 1, dtype=torch.complex128), none.new_ones(1, 1))
     scaled = alone.known.values * np.array([1.02, 1.0])[:, None, None]
     for run, bearings in ((0, alone.known), (1, replace(alone.known, values=scaled))):
-        expected = alone.response.predict(bearings)[..., run]
-        assert np.allclose(moved[0, ..., run].numpy(), expected, rtol=1e-12, atol=0)
+        assert np.allclose(moved[0, ..., run].numpy(), alone.response.predict(bearings)[..., run], rtol=1e-12, atol=0)
 
 
 def test_a_baseline_is_taken_off_as_its_own_bearings_had_it(measurement: Measurement) -> None:
@@ -162,8 +160,7 @@ def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
         variation, respond(block, change[None], unbalance[None]), change[None], unbalance[None]
     )
     sensitivity = measurement.response.sensitivity(measurement.updated_known)
-    moved = respond(block, change, unbalance)
-    assert np.allclose(moved.sensors, readings(measurement))
+    assert np.allclose(respond(block, change, unbalance).sensors, readings(measurement))
     step, at = 1e-3, measurement.parameter_values
     for t, parameter in enumerate(measurement.parameters):
         shift = step * (np.arange(len(at)) == t)
@@ -187,8 +184,7 @@ def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str
     stated, made = rotor(), rotor(**other)
     moved = update_rotor(stated, [ModelParameter(kind, DEVIATIONS[kind], "")], np.array([1.0]))
     assert np.allclose(moved.stiffness, made.stiffness, rtol=1e-12, atol=0)
-    without_discs = made.shaft_mass - stated.shaft_mass
-    assert np.allclose(moved.mass - stated.mass, without_discs, rtol=1e-9, atol=1e-12)
+    assert np.allclose(moved.mass - stated.mass, made.shaft_mass - stated.shaft_mass, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["known_coefficients", "disc_mass", "unbalance_phase"])

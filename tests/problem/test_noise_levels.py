@@ -92,8 +92,7 @@ def test_one_way_analysis_of_variance_is_the_closed_form() -> None:
 def test_a_bad_condition_moves_the_levels_little() -> None:
     """Its weight is small, and the level is near that without it; unweighted it is many times larger."""
     rng = np.random.default_rng(2)
-    level = square(rng, 4)
-    conditions, design = draw(rng, 60, np.full(60, 3), level, 0.1 * np.stack([np.eye(2), np.eye(2)]))
+    conditions, design = draw(rng, 60, np.full(60, 3), square(rng, 4), 0.1 * np.stack([np.eye(2), np.eye(2)]))
     clean = np.trace(estimate_noise_levels(conditions, design)[0].condition).real
     conditions.displacement[7] += 60.0
     levels, weights = estimate_noise_levels(conditions, design)
@@ -119,8 +118,7 @@ def test_few_conditions_shrink_towards_the_diagonal_and_none_is_refused() -> Non
 
 def test_the_covariance_of_means_has_both_levels() -> None:
     record = np.stack([np.diag([1.0, 2.0]), np.diag([3.0, 4.0])]).astype(complex)
-    levels = NoiseLevels(record, np.eye(4, dtype=complex), 10.0)
-    two = levels.covariance(np.array([1, 4]))
+    two = NoiseLevels(record, np.eye(4, dtype=complex), 10.0).covariance(np.array([1, 4]))
     assert np.diag(two[0]).real == pytest.approx([2, 3, 4, 5])
     assert np.diag(two[1]).real == pytest.approx([1.25, 1.5, 1.75, 2.0])
     assert spread_blocks(record)[0, 2] == 0

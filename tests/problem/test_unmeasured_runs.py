@@ -26,22 +26,16 @@ def without(measurement: Measurement, points: np.ndarray, run: int) -> Measureme
 def test_least_squares_and_their_deviations_are_those_of_the_runs_that_were_measured() -> None:
     whole, bearings = small_machine(DIRECT)
     gone, rest = np.array([1, 4]), np.array([0, 2, 3, 5])
-    part = without(whole, gone, 1)
 
-    def solve(of: Measurement) -> tuple[np.ndarray, np.ndarray]:
-        covariance = residual_covariance(
-            of.rotor, of.dataset, bearings.at(np.arange(len(of.known.speeds))), of.deviation
-        )
-        values, _ = per_speed_least_squares(of.residual)
-        return values, least_squares_deviation(whiten(of.residual, covariance))
+    def solve(of: Measurement, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        covariance = residual_covariance(of.rotor, of.dataset, bearings.at(points), of.deviation)
+        return per_speed_least_squares(of.residual)[0], least_squares_deviation(whiten(of.residual, covariance))
 
-    found = solve(part)
+    found, spread = solve(without(whole, gone, 1), np.arange(len(bearings.speeds)))
     for points, runs in ((gone, np.array([0])), (rest, np.array([0, 1]))):
-        alone = whole.select(points, runs)
-        covariance = residual_covariance(alone.rotor, alone.dataset, bearings.at(points), alone.deviation)
-        np.testing.assert_allclose(found[0][:, points], per_speed_least_squares(alone.residual)[0], rtol=1e-9)
-        spread = least_squares_deviation(whiten(alone.residual, covariance))
-        np.testing.assert_allclose(found[1][:, points], spread, rtol=1e-6)
+        values, deviation = solve(whole.select(points, runs), points)
+        np.testing.assert_allclose(found[:, points], values, rtol=1e-9)
+        np.testing.assert_allclose(spread[:, points], deviation, rtol=1e-6)
 
 
 def test_nothing_is_subtracted_from_what_was_not_measured() -> None:

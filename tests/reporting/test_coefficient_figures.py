@@ -78,8 +78,7 @@ def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: sli
     shown = Coefficients.collect(bearings, None, NAMES, deviation)
     band, _, drawn, _ = shown.draw(0, "kxx", "kxx identified", ("blue", "o"), 1.0, 99)
     assert np.isfinite(band.band).all()
-    given = np.delete(shown.rpm, lost)
-    np.testing.assert_array_equal(drawn.x[np.isfinite(drawn.y)], given)
+    np.testing.assert_array_equal(drawn.x[np.isfinite(drawn.y)], np.delete(shown.rpm, lost))
 
 
 def test_of_many_states_some_are_drawn_the_first_and_last_among_them() -> None:

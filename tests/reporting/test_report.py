@@ -118,8 +118,7 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
 
 @pytest.mark.parametrize(("paper", "size"), [("A4", b"595.28 841.89"), ("Letter", b"612.00 792.00")])
 def test_a_pdf_has_the_same_sections(paper: str, size: bytes, tmp_path: Path) -> None:
-    path = write_pdf(tmp_path / "report.pdf", "A & B", HEAD, _sections(), paper)
-    content = path.read_bytes()
+    content = write_pdf(tmp_path / "report.pdf", "A & B", HEAD, _sections(), paper).read_bytes()
     assert b"/MediaBox [0 0 " + size in content
     assert content.startswith(b"%PDF")
     assert b"/Outlines" in content

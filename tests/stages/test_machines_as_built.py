@@ -38,6 +38,11 @@ SMALL = [
 ]
 
 
+def small(*overrides: str) -> Config:
+    """The configuration of a machine with few speeds and a small network."""
+    return compose_config(["stage=train", *SMALL, *overrides])
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -56,7 +61,7 @@ SMALL = [
 def test_a_wrong_tolerance_is_refused(overrides: list[str], words: str) -> None:
     """The key, what came, and no traceback; also where nodes are keys of the same machine."""
     with pytest.raises(ConfigError) as refused:
-        compose_config(["stage=train", *SMALL, *overrides])
+        small(*overrides)
     assert words in str(refused.value)
 
 
@@ -70,7 +75,7 @@ def test_a_wrong_tolerance_is_refused(overrides: list[str], words: str) -> None:
 )
 def test_a_parameter_of_nothing_is_refused(overrides: list[str], words: str) -> None:
     """What the machine does not have can't be uncertain."""
-    config = compose_config(["stage=train", *SMALL, *overrides])
+    config = small(*overrides)
     rotor, truth, complete = model_machine(config)
     with pytest.raises(ConfigError, match=words):
         build_measurement(config, rotor, read_probes(config, rotor, complete), truth)
@@ -78,7 +83,7 @@ def test_a_parameter_of_nothing_is_refused(overrides: list[str], words: str) -> 
 
 def test_a_baseline_leaves_no_runout_to_fit() -> None:
     """It is in both runs, and cancels."""
-    config = compose_config(["stage=train", *SMALL])
+    config = small()
     rotor, truth, complete = model_machine(config)
     dataset = subtract_baseline(read_probes(config, rotor, complete), "both")
     with pytest.raises(ConfigError, match=r"runout must belong to something .* no baseline was subtracted from"):
@@ -87,7 +92,7 @@ def test_a_baseline_leaves_no_runout_to_fit() -> None:
 
 def test_slow_roll_takes_the_runout_off_but_for_the_noise_of_its_reading() -> None:
     """What is left is the same at every speed and in every run, as large as the floor, the share and the steps."""
-    config = compose_config(["stage=train", *SMALL])
+    config = small()
     rotor, _, complete = model_machine(config)
     sensors = replace(configure_sensors(config, rotor), quantisation=0.0)
     exact = measure(complete, replace(sensors, runout=0.0, slow_roll_readings=0), np.random.default_rng(1))
@@ -123,10 +128,9 @@ def test_trial_weights_are_those_of_a_balancing(machine: str) -> None:
 
 def test_what_was_built_is_not_what_is_assumed() -> None:
     """The measurement has the stated rotor and weights; the readings are those of another machine."""
-    config = compose_config(["stage=train", *SMALL])
-    stated = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    stated = small("machine=overhung")
     readings = []
-    for one in (config, stated):
+    for one in (small(), stated):
         rotor, truth, complete = model_machine(one)
         measurement = build_measurement(one, rotor, read_probes(one, rotor, complete), truth)
         assert measurement.rotor.fingerprint == load_rotor(stated.machine.rotor).fingerprint
@@ -137,9 +141,8 @@ def test_what_was_built_is_not_what_is_assumed() -> None:
 
 def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
     """Readings of three elements for one agree to the error of the mesh, and not to the last digit."""
-    config = compose_config(["stage=train", *SMALL, "machine=overhung", "+machine.as_built={refinement: 3}"])
-    stated = compose_config(["stage=train", *SMALL, "machine=overhung"])
-    fine, coarse = (model_machine(one)[2] for one in (config, stated))
+    built = (["+machine.as_built={refinement: 3}"], [])
+    fine, coarse = (model_machine(small("machine=overhung", *more))[2] for more in built)
     assert fine.channels == coarse.channels
     off = np.abs(fine.displacement - coarse.displacement).max() / np.abs(coarse.displacement).max()
     assert 1e-5 < off < 1e-4
@@ -156,9 +159,10 @@ def test_a_finer_mesh_of_the_same_shaft_is_nearly_the_same_machine() -> None:
 )
 def test_another_beam_and_a_soft_pedestal_move_the_readings(built: str, least: float, most: float) -> None:
     """By far more than the mesh, and the machine is still nearly the same."""
-    config = compose_config(["stage=train", *SMALL, "machine=overhung", f"+machine.as_built={{{built}}}"])
-    stated = compose_config(["stage=train", *SMALL, "machine=overhung"])
-    other, same = (project(model_machine(one)[2], ((1, 0.0), (6, 0.0))).displacement for one in (config, stated))
+    other, same = (
+        project(model_machine(small("machine=overhung", *more))[2], ((1, 0.0), (6, 0.0))).displacement
+        for more in ([f"+machine.as_built={{{built}}}"], [])
+    )
     assert least < np.linalg.norm(other - same) / np.linalg.norm(same) < most
 
 
@@ -169,9 +173,10 @@ def test_integration_in_time_gives_what_the_dynamic_stiffness_gives() -> None:
         "machine=overhung",
         "machine.speeds={start_rpm: 900, stop_rpm: 5700, step_rpm: 800}",
     ]
-    config = compose_config(["stage=train", *near, "+machine.as_built={method: time}"])
-    in_time = model_machine(config)[2]
-    stated = model_machine(compose_config(["stage=train", *near]))[2]
+    in_time, stated = (
+        model_machine(compose_config(["stage=train", *near, *more]))[2]
+        for more in (["+machine.as_built={method: time}"], [])
+    )
     assert in_time.channels == stated.channels
     off = np.abs(in_time.displacement - stated.displacement).max(axis=(1, 2))
     share = off / np.abs(stated.displacement).max(axis=(1, 2))
@@ -181,19 +186,17 @@ def test_integration_in_time_gives_what_the_dynamic_stiffness_gives() -> None:
 
 def test_the_error_of_integration_falls_with_the_square_of_the_step() -> None:
     """Half the step, a quarter of the error."""
-    config = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    config = small("machine=overhung")
     rotor, truth, exact = model_machine(config)
     few, acting = truth.at(np.array([3, 5])), configure_excitations(config)
-    errors = []
-    for steps in (180, 360):
-        found = integrate(rotor, few, acting, steps).displacement
-        errors.append(np.abs(found - exact.displacement[[3, 5]]).max())
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+    coarse, fine = (integrate(rotor, few, acting, steps).displacement for steps in (180, 360))
+    there = exact.displacement[[3, 5]]
+    assert np.abs(coarse - there).max() / np.abs(fine - there).max() == pytest.approx(4, rel=0.05)
 
 
 def test_an_unstable_machine_does_not_settle() -> None:
     """Cross stiffness beyond all damping."""
-    config = compose_config(["stage=train", *SMALL, "machine=overhung"])
+    config = small("machine=overhung")
     rotor, truth, _ = model_machine(config)
     values = truth.values * np.array([1, 30, 30, 1, 1, 1, 1, 1])
     with pytest.raises(PipelineError, match="must settle to be read, but at 600 rpm"):
@@ -202,7 +205,7 @@ def test_an_unstable_machine_does_not_settle() -> None:
 
 def test_a_cone_of_one_diameter_is_a_cylinder() -> None:
     """ROSS's tapered element beside its cylindrical one; elements of a cone meet at their ends."""
-    rotor = compose_config(["stage=train", *SMALL, "machine=overhung"]).machine.rotor
+    rotor = small("machine=overhung").machine.rotor
     (segment,) = rotor.shaft
     straight = rotor.model_copy(update={"shaft": (segment.model_copy(update={"end_diameter": 0.05}),)})
     assert load_rotor(straight).stiffness == pytest.approx(load_rotor(rotor).stiffness, rel=1e-12)
@@ -217,10 +220,8 @@ def test_a_cone_of_one_diameter_is_a_cylinder() -> None:
 
 def test_bearing_and_pedestal_are_springs_in_series() -> None:
     """Against the response of a rotor whose pedestals have equations of their own."""
-    config = compose_config(
-        ["stage=train", *SMALL, "machine=overhung", "+machine.as_built={pedestal_stiffness: 2e8, pedestal_mass: 20}"]
-    )
-    rotor, film, complete = model_machine(config)
+    pedestal = "+machine.as_built={pedestal_stiffness: 2e8, pedestal_mass: 20}"
+    rotor, film, complete = model_machine(small("machine=overhung", pedestal))
     n, places, own = rotor.n_dof, bearing_dof(rotor).ravel(), rotor.n_dof + np.arange(4)
     for s in (0, 5, -1):
         w = film.speeds[s]
@@ -232,8 +233,7 @@ def test_bearing_and_pedestal_are_springs_in_series() -> None:
             joined[np.ix_(first, second)] += sign * coupling
         force = np.zeros((n + 4, len(complete.runs)), dtype=complex)
         force[:n] = assemble_forces(rotor, complete.excitations, complete.runs, film.speeds[[s]])[0]
-        moved = np.linalg.solve(joined, force)
-        expected = moved[np.arange(n).reshape(-1, 4)[:, :2].ravel()]
+        expected = np.linalg.solve(joined, force)[np.arange(n).reshape(-1, 4)[:, :2].ravel()]
         assert complete.displacement[s] == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 

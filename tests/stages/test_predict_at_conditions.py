@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Run
+from conftest import Run, assert_says
 
 from pipeline.errors import ConfigError
 
@@ -61,16 +61,14 @@ def test_the_screen_names_states_numbers_and_what_lies_outside(folder: Path) -> 
     lines = (folder / "summary.txt").read_text().splitlines()
     assert len(lines) <= 40
     text = " ".join(" ".join(lines).split())
-    for words in ("45 degC", "65 degC", "numbers ", "node 8 radial clearance", " um", "mPa s", "1620 rpm, 70 degC"):
-        assert words in text
-    assert "oil temperature: 70 degC lies outside the measured" in text
+    assert_says(text, "45 degC", "65 degC", "numbers ", "node 8 radial clearance", " um", "mPa s", "1620 rpm, 70 degC")
+    assert_says(text, "oil temperature: 70 degC lies outside the measured")
 
 
 def test_the_report_follows_the_condition_that_is_asked_for(run: Run, folder: Path) -> None:
     run("report", [*MACHINE, asked(72)], folder)
     page = (folder / "report.html").read_text()
-    for words in ("72 degC (not measured)", "Numbers of the bearing laws", "outside the measured 45 to 65 degC"):
-        assert words in page
+    assert_says(page, "72 degC (not measured)", "Numbers of the bearing laws", "outside the measured 45 to 65 degC")
 
 
 def test_the_export_has_a_table_a_measured_state(run: Run, folder: Path) -> None:

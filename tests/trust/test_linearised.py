@@ -24,11 +24,14 @@ def a_line(noise: float = 0.3, shift: float = 0.0) -> LinearisedFit:
     return LinearisedFit(off - by_weight @ z, by_weight, coefficients, np.full(2, 1e-12), fitted)
 
 
+def mask_of(run: int) -> np.ndarray:
+    """The readings of a run."""
+    return np.broadcast_to(np.arange(2) == run, (40, 3, 2))
+
+
 def test_a_run_left_out_moves_the_answer_as_a_fit_without_it() -> None:
     linear = a_line(shift=0.5)
-    mask = np.zeros((40, 3, 2), dtype=bool)
-    mask[..., 1] = True
-    moved, spread = linear.leave_out(mask)
+    moved, spread = linear.leave_out(mask_of(1))
     kept = linear.by_weight[..., 0, :].reshape(-1, 2)
     right = linear.residual[..., 0].ravel()
     own = np.linalg.lstsq(np.concatenate([kept.real, kept.imag]), np.concatenate([right.real, right.imag]), rcond=None)
@@ -37,10 +40,8 @@ def test_a_run_left_out_moves_the_answer_as_a_fit_without_it() -> None:
 
 
 def test_a_right_run_is_predicted_to_its_noise() -> None:
-    mask = np.zeros((40, 3, 2), dtype=bool)
-    mask[..., 1] = True
-    assert a_line(noise=np.sqrt(0.5)).predict_without(mask) == pytest.approx(1.0, abs=0.25)
-    assert a_line(noise=np.sqrt(0.5), shift=2.0).predict_without(mask) > 3.0
+    assert a_line(noise=np.sqrt(0.5)).predict_without(mask_of(1)) == pytest.approx(1.0, abs=0.25)
+    assert a_line(noise=np.sqrt(0.5), shift=2.0).predict_without(mask_of(1)) > 3.0
 
 
 def test_what_a_run_alone_tells_is_not_asked_without_it() -> None:
@@ -49,7 +50,5 @@ def test_what_a_run_alone_tells_is_not_asked_without_it() -> None:
     by_weight = linear.by_weight.copy()
     by_weight[..., :1, 1] = 0.0
     alone = replace(linear, by_weight=by_weight, prior=np.zeros((2, 2)))
-    masks = np.zeros((2, 40, 3, 2), dtype=bool)
-    masks[0, ..., 0] = masks[1, ..., 1] = True
-    assert [alone.suffices_without(mask) for mask in masks] == [True, False]
-    assert [linear.suffices_without(mask) for mask in masks] == [True, True]
+    assert [alone.suffices_without(mask_of(run)) for run in (0, 1)] == [True, False]
+    assert [linear.suffices_without(mask_of(run)) for run in (0, 1)] == [True, True]

@@ -51,8 +51,7 @@ def test_when_the_readings_are_explained(fit: dict[str, Any], explained: bool) -
     assert ("do not explain" in misfit.sentence) is not explained
     # every page says the same, and none calls the coefficients well determined without it
     assert ("do not explain" in describe_quality({"fit": fit})) is not explained
-    determined = {"by": "by this fit", "coefficients": {"1": {"kxx": CERTAIN}}}
-    said = describe_verdicts({"fit": fit, "determined": determined})
+    said = describe_verdicts({"fit": fit, "determined": {"by": "by this fit", "coefficients": {"1": {"kxx": CERTAIN}}}})
     assert ("were the model right" in said and "do not explain" in said) is not explained
     assert "kxx well determined" in said
 

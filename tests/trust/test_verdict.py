@@ -154,8 +154,7 @@ def test_a_rejected_model_is_said_to_be_with_its_held_out_error() -> None:
 
 
 def test_good_is_never_said_beside_readings_that_are_not_explained() -> None:
-    fit = FIT | {"chi_square": FIT["chi_square"] | {"value": 10_000.0}}
-    judged = record(gathered(fit=fit))
+    judged = record(gathered(fit=FIT | {"chi_square": FIT["chi_square"] | {"value": 10_000.0}}))
     assert {entry["verdict"] for entry in judged["verdicts"]} == {"with care"}
     assert "do not explain the readings: they lie 10 times as far" in judged["machine"]["reason"]
 
