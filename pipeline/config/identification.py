@@ -85,6 +85,8 @@ class IdentifyConfig(Section):
     def _lawful(self) -> Iterator[str]:
         if self.shared and self.bearings:
             yield "shared makes all bearings alike, but bearings has exceptions: leave one of them out"
+        if (self.known_stiffness or self.known_damping) and not self.known_within:
+            yield "known_stiffness and known_damping must have known_within, a factor such as 30: give it, or neither"
         self.at(-1)
         for node in self.bearings:
             self.at(node)

@@ -252,7 +252,11 @@ def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
 
     The loss is that of held-out speeds where there are some.
     """
-    values = {name: np.array([_to_drawn(job.get(name)) for job in jobs.values()]) for name in _JOBS}
+    # What is no positive number has no place on a logarithmic axis.
+    values = {
+        name: np.array([v if isinstance(v := job.get(name), float) and v > 0 else np.nan for job in jobs.values()])
+        for name in _JOBS
+    }
     names = [name for name in _JOBS if np.isfinite(values[name]).any()]
     names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
     panels: list[Panel] = []
@@ -274,8 +278,3 @@ def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
             )
         )
     return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))
-
-
-def _to_drawn(value: Any) -> float:
-    """On a logarithmic axis; NaN for what has no place there."""
-    return value if isinstance(value, float) and value > 0 else math.nan

@@ -49,7 +49,7 @@ TROUBLE: dict[str, dict[str, Any]] = {
     "load_direction": {"load_angle": 20.0},
     "theory": {"off_theory": 0.15},
 }
-"""What is silently wrong, by name; the amounts were set before the first machine was drawn."""
+"""What is silently wrong, by name; each amount was set before the first machine with it was drawn."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,6 +127,10 @@ VALUES = [
     ({"seed": None}, "seed: must be a valid integer, but got null"),
     ({"identify.unknowns": []}, "identify.unknowns: must have at least 1 item"),
     (
+        {"identify.known_stiffness": "1e6 N/m"},
+        "identify: known_stiffness and known_damping must have known_within, a factor such as 30",
+    ),
+    (
         {"identify.unknowns": ["kxz"]},
         "identify.unknowns.0: must be one of these, but got 'kxz'; did you mean",
     ),
