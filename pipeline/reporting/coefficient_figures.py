@@ -98,7 +98,7 @@ class Coefficients:
         given = np.where(lost, np.nan, values)
         drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
         if lost.all():
-            drawn = Curve(NOTHING, NOTHING, f"{label}: not determined", colour, filled=True)
+            drawn = Curve(NOTHING, NOTHING, label, colour, filled=True)  # with no marker, its key is the band
         key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(band).any() else []
         return [
             Curve(self.rpm, values, "", colour, "none", band=band),
