@@ -1,5 +1,12 @@
 # What a person and CI run. `make` alone lists it.
-PYTHON ?= python3.11
+
+# The Python of .venv, 3.11 to 3.13, by version or path: 3.11, where the figures come from, if none is named and it is
+# there; else uv takes another, or fetches one.
+PYTHON ?=
+# A folder of wheels or a page of links to them, pip's by default. Without one, torch's CPU build comes from the index
+# that uv knows; `make env TORCH=cuda` takes the build of the package index.
+WHEELS ?= $(PIP_FIND_LINKS)
+TORCH ?= $(if $(WHEELS),,cpu)
 
 # Commands of dvc.yaml say `python`: they get the one of .venv. Not exported to every recipe, since the one that
 # makes .venv must not find its Python there.
@@ -123,23 +130,27 @@ lint: env  ## ruff and mypy, strict where the numbers are made
 	$(RUN) mypy
 	$(RUN) mypy --strict --follow-imports=silent -p pipeline.problem -p pipeline.identification
 
-# TORCH says where uv finds torch's CPU build: by itself it knows PyTorch's index.
-TORCH ?= --torch-backend=cpu
-lock: .cache/lock/bin/uv  ## write requirements.lock, the packages of the container with their hashes, after a change of constraints.txt
-	.cache/lock/bin/uv pip compile -q pyproject.toml -c constraints.txt --python-version 3.11 \
+lock: .cache/uv/bin/uv  ## write requirements.lock, the packages of the container with their hashes, after a change of constraints.txt
+	mkdir -p .cache/lock
+	$(UV) pip compile -q pyproject.toml -c constraints.txt --python-version 3.11 \
 		--python-platform x86_64-manylinux_2_34 --generate-hashes --no-strip-extras --no-annotate --no-header \
-		--no-emit-index-url $(TORCH) -o .cache/lock/made
+		--no-emit-index-url --torch-backend=cpu -o .cache/lock/made
 	{ echo "# The packages that pyproject.toml needs to run, at the versions of constraints.txt, on Linux x86-64 with"; \
 	  echo "# Python 3.11 and torch's CPU build; each is held by its hashes. Written by \`make lock\`."; \
 	  cat .cache/lock/made; } > .cache/lock/new
 	mv .cache/lock/new requirements.lock
 
-audit: .cache/lock/bin/uv  ## ask the advisory database of Python packages about those of requirements.lock (needs the network)
-	.cache/lock/bin/pip-audit -r requirements.lock --disable-pip --require-hashes
+audit: env .cache/audit/bin/pip-audit  ## ask the advisory database of Python packages about those of requirements.lock (needs the network)
+	.cache/audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes
 
-.cache/lock/bin/uv:
-	"$(PYTHON)" -m venv .cache/lock
-	.cache/lock/bin/python -m pip install -qq --disable-pip-version-check uv==0.13.9 pip-audit==2.10.1
+.cache/audit/bin/pip-audit:
+	.venv/bin/python -m venv .cache/audit
+	.cache/audit/bin/python -m pip install -qq --disable-pip-version-check pip-audit==2.10.1
+
+# Any Python 3 will do to get uv.
+.cache/uv/bin/uv:
+	@python3 -m venv .cache/uv
+	@.cache/uv/bin/python -m pip install -qq --disable-pip-version-check uv==0.13.9
 
 clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and tracking stay
 	rm -rf .venv .cache build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis outputs multirun dvc_plots
@@ -147,14 +158,20 @@ clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and 
 
 # The stamp is written last. Without one, what lies in .venv is an interrupted install and is made anew;
 # with one, an edited pyproject.toml or constraints.txt updates the environment in place.
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.installed: export UV_FIND_LINKS = $(WHEELS)
+.venv/.installed: pyproject.toml constraints.txt | .cache/uv/bin/uv
 	@test -e $@ || rm -rf .venv
-	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || { \
-		echo "Python 3.11 is needed and '$(PYTHON)' is not one." \
-			"Install it, or name it: make PYTHON=/path/to/python3.11" >&2; \
-		exit 1; }
-	@test -e $@ || "$(PYTHON)" -m venv .venv
+	@test -e $@ || $(UV) venv -q --seed --no-python-downloads -p '$(or $(PYTHON),3.11)' .venv 2>/dev/null \
+		|| $(UV) venv -q --seed -p '$(or $(PYTHON),>=3.11,<3.14)' .venv
 	@rm -f $@
+	@.venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || { \
+		echo "Python 3.11, 3.12 or 3.13 is needed, and '$(PYTHON)' is `.venv/bin/python --version`." \
+			"Leave PYTHON out, or name one of these: make env PYTHON=3.11" >&2; \
+		exit 1; }
 	@echo "Installing the pinned packages into .venv (2.7 GB and some minutes the first time) ..."
-	@.venv/bin/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[test,docs]'
+	@$(UV) pip install -q -p .venv $(addprefix --torch-backend=,$(filter cpu,$(TORCH))) $(PACKAGES) || { \
+		echo "uv could not install them (its reason stands above); pip tries." >&2; \
+		.venv/bin/python -m pip install -qq --disable-pip-version-check $(PACKAGES); }
 	@touch $@
+UV = .cache/uv/bin/uv --system-certs
+PACKAGES = -c constraints.txt -e '.[test,docs]'
