@@ -38,13 +38,13 @@ STATEMENTS = {
     "tuning": 541,
     "reporting": 2467,
     "tracking": 336,
-    "stages": 1183,
+    "stages": 1184,
     "beside the rooms": 523,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18027, 14500),
+    "statements of pipeline/": (18028, 14500),
     "files": (267, 250),
     "classes": (324, 260),
     "is None, is not None": (343, 420),
