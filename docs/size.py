@@ -25,7 +25,7 @@ STATEMENTS = {
     "rotor": 693,
     "data": 1114,
     "sweep": 249,
-    "ingest": 1457,
+    "ingest": 1458,
     "problem": 1696,
     "identification": 2633,
     "evaluation": 226,
@@ -38,20 +38,20 @@ STATEMENTS = {
     "tuning": 541,
     "reporting": 2467,
     "tracking": 336,
-    "stages": 1184,
+    "stages": 1186,
     "beside the rooms": 523,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18028, 14500),
+    "statements of pipeline/": (18031, 14500),
     "files": (267, 250),
     "classes": (324, 260),
     "is None, is not None": (343, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12826, 13000),
+    "statements of tests/": (12828, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),
