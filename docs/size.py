@@ -37,14 +37,14 @@ STATEMENTS = {
     "comparison": 147,
     "tuning": 541,
     "reporting": 2467,
-    "tracking": 336,
-    "stages": 1186,
+    "tracking": 359,
+    "stages": 1196,
     "beside the rooms": 523,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18031, 14500),
+    "statements of pipeline/": (18064, 14500),
     "files": (267, 250),
     "classes": (324, 260),
     "is None, is not None": (343, 420),
