@@ -35,7 +35,7 @@ STATEMENTS = {
     "export": 201,
     "methods": 577,
     "comparison": 147,
-    "tuning": 541,
+    "tuning": 549,
     "reporting": 2467,
     "tracking": 359,
     "stages": 1196,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18064, 14500),
+    "statements of pipeline/": (18072, 14500),
     "files": (267, 250),
     "classes": (324, 260),
     "is None, is not None": (343, 420),
