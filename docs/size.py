@@ -20,12 +20,12 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1676,
+    "config": 1677,
     "laws": 487,
     "rotor": 693,
-    "data": 1093,
+    "data": 1114,
     "sweep": 249,
-    "ingest": 1395,
+    "ingest": 1458,
     "problem": 1696,
     "identification": 2633,
     "evaluation": 226,
@@ -35,23 +35,23 @@ STATEMENTS = {
     "export": 201,
     "methods": 577,
     "comparison": 147,
-    "tuning": 541,
+    "tuning": 549,
     "reporting": 2467,
-    "tracking": 336,
-    "stages": 1181,
+    "tracking": 359,
+    "stages": 1196,
     "beside the rooms": 523,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17941, 14500),
+    "statements of pipeline/": (18072, 14500),
     "files": (267, 250),
-    "classes": (323, 260),
+    "classes": (324, 260),
     "is None, is not None": (343, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12817, 13000),
+    "statements of tests/": (12828, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),

@@ -1,7 +1,8 @@
 """The command line: ``python -m pipeline stage=STAGE experiment=NAME [overrides]``.
 
-Every command is checked before anything runs. Exit codes: 0 done, 1 a limit exceeded
-(``stage=check``), 2 a mistake in what was given, 70 a bug here, 130 interrupted, 141 a closed pipe.
+Every command is checked before anything runs. Exit codes: 0 done, 1 a limit exceeded (``stage=check``) or a result
+that could not be made (``stage=identify``), 2 a mistake in what was given, 70 a bug here, 130 interrupted, 141 a closed
+pipe.
 """
 
 from __future__ import annotations

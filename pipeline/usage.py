@@ -40,8 +40,8 @@ options:
 Results of an experiment go to artifacts/NAME/ (output=FOLDER for another place); the jobs of a
 multirun to a folder of their own each, named by what was swept, such as
 artifacts/NAME/optimizer.adam.steps-500/.
-Exit codes: 0 done, 1 a threshold passed (stage=check), 2 a mistake in what was given, 70 a bug,
-130 interrupted."""
+Exit codes: 0 done, 1 a threshold passed (stage=check) or a result skipped (stage=identify), 2 a
+mistake in what was given, 70 a bug, 130 interrupted."""
 
 
 _SUMMARY = (

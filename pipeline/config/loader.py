@@ -227,7 +227,8 @@ def _explain_unresolved(error: Any) -> str:
 
     key = error.full_key or "a value"
     if isinstance(error, MissingMandatoryValue):
-        return f"{key} must be given, but is ???; add {key}=VALUE"
+        step = "" if "[" in key else f", or add {key}=VALUE"
+        return f"{key} must be given, but is ???: write it in place of the ??? in the machine file{step}"
     return f"{key} must refer to what exists, but got: {str(error).splitlines()[0]}"
 
 

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -135,21 +136,40 @@ def _recognize_delimiter(lines: Sequence[str], candidates: str) -> str:
 def find_header(rows: Sequence[Sequence[Any]], names: Collection[str], stated: int | None = None) -> tuple[int, int]:
     """The place of the header among ``rows``, and how many rows of units follow it.
 
-    The header has most of the ``names``; where none has any, it is the first row that is as long as most, if there is a
-    text in it, or the very first.
+    The header has most of the ``names``; where none has any, it is the last row of texts before the numbers that is as
+    long as most rows are, or the very first.
     """
     header = stated
     if header is None:
-        shared = [len(set(names) & {str(cell) for cell in row}) for row in rows]
+        shared = [len(set(names) & set(name_columns(rows, i))) for i in range(len(rows) if names else 0)]
         widths = Counter(len(row) for row in rows if len(row) > 1)
         width = widths.most_common(1)[0][0] if widths else 1
-        first = next((i for i, row in enumerate(rows) if len(row) == width), 0)
-        first = first if rows and not all(_NUMBER.fullmatch(str(cell).strip()) for cell in rows[first]) else 0
-        header = shared.index(max(shared)) if any(shared) else first
+        long = [i for i, row in enumerate(rows) if len(row) == width and any(row)]
+        numbers = next((i for i in long if _has_numbers(rows[i])), 1)
+        last = max((i for i in long if i < numbers and not _has_units(rows[i])), default=0)
+        header = shared.index(max(shared)) if any(shared) else last
     units = 0
     while header + 1 + units < len(rows) and _has_units(rows[header + 1 + units]):
         units += 1
     return header, units
+
+
+def name_columns(rows: Sequence[Sequence[Any]], header: int) -> list[str]:
+    """The names in the row ``header``; those that repeat, with the name of their group above and the unit below them.
+
+    A blank above belongs to the group at its left: ``;DE_Y;;DE_X;`` above ``Speed;Amp;Phase;Amp;Phase``.
+    """
+    before, names, after = ([str(cell or "") for cell in row] for row in [[], *rows, []][header : header + 3])
+    groups: Iterator[str] = accumulate(before, lambda left, cell: cell or left)
+    units = after if _has_units(after) else []
+    every = list(zip_longest(groups, names, units, fillvalue=""))[: len(names)]
+    return [" ".join(filter(None, parts)) if names.count(parts[1]) > 1 else parts[1] for parts in every]
+
+
+def _has_numbers(row: Sequence[Any]) -> bool:
+    """Whether most cells that are not blank are numbers."""
+    cells = [str(cell).strip() for cell in row if cell not in (None, "")]
+    return 2 * sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
 
 
 _UNITS = {

@@ -81,6 +81,15 @@ def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     return {name: _take(path, every, name) for name in names}
 
 
+def list_mat(path: Path) -> dict[str, tuple[int, ...]]:
+    """The shape of each variable of numbers. Raises DataError for a damaged file."""
+    from h5py import is_hdf5
+
+    with open_measured(path, "complete MAT file"):
+        every = _open_hdf5(path, ()) if is_hdf5(path) else _open_old(path)
+    return {name: values.shape for name, values in every.items() if values.dtype.kind in "iuf"}
+
+
 def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: float = 20.0) -> dict[str, np.ndarray]:
     """Every variable of a file before version 7.3, fields of structs by dotted names.
 
@@ -139,7 +148,7 @@ def _take(path: Path, every: Mapping[str, Any], name: str) -> np.ndarray:
 
 
 def _open_hdf5(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
-    """The variables of a file of version 7.3; those that are not ``wanted`` are empty."""
+    """The variables of a file of version 7.3; those that are not ``wanted`` have their shape alone."""
     import h5py
 
     asked = {_COLUMN.sub(r"\1", name) for name in wanted}
@@ -162,8 +171,13 @@ def _open_hdf5(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
                 )
             return values
 
+        def stand_in(item: Any) -> Any:
+            """As many zeros, without their memory; a text for texts."""
+            numbers = item.dtype.kind in "iuf" and item.attrs.get("MATLAB_class") != b"char"
+            return np.broadcast_to(0.0 if numbers else "", item.shape[::-1])
+
         return {
-            name: np.asarray(read(item) if name in asked else ())
+            name: np.asarray(read(item) if name in asked else stand_in(item))
             for name, item in every.items()
             if isinstance(item, h5py.Dataset) and not name.startswith("#")
         }

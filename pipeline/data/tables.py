@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, recognize_csv
+from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, name_columns, recognize_csv
 from pipeline.data.mat_files import open_measured, read_mat, require_names, require_room, require_unpacked
 from pipeline.errors import DataError
 from pipeline.files import write_beside
@@ -98,13 +98,18 @@ def list_units(path: Path, text: CsvConfig = PLAIN, head: int = 100) -> dict[str
     elif is_csv(path):
         with open_measured(path, "CSV table"):
             text = recognize_csv(path, (), text)
-            with path.open(newline="", encoding=text.encoding, errors="replace") as file:
-                rows = list(islice(csv.reader(file, delimiter=text.delimiter or ","), head))
+            rows = _read_head(path, text, head)
     else:
         return dict.fromkeys(list_columns(path, text), "")
     skip, units = find_header(rows[:head], (), text.skip_rows)
     below = [" ".join(str(cell or "") for cell in column[1:]) for column in zip_longest(*rows[skip : skip + 1 + units])]
-    return dict(zip(map(str, rows[skip] if rows else ()), below, strict=False))
+    return dict(zip(name_columns(rows, skip) if rows else (), below, strict=False))
+
+
+def _read_head(path: Path, text: CsvConfig, count: int) -> list[Any]:
+    """The first rows of a CSV file."""
+    with path.open(newline="", encoding=text.encoding, errors="replace") as file:
+        return list(islice(csv.reader(file, delimiter=text.delimiter or ","), count))
 
 
 def list_sheets(path: Path) -> list[str | None]:
@@ -192,7 +197,8 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
                 parse_options=arrow.ParseOptions(delimiter=text.delimiter),
                 convert_options=arrow.ConvertOptions(default_column_type=pa.string()),
             )
-            return _Table(stored.column_names, stored.columns, text.first, text.decimal or ".")
+            names = name_columns(_read_head(path, text, text.first), text.skip_rows or 0)
+            return _Table(names, stored.columns, text.first, text.decimal or ".")
     return _explain_csv(path, text)
 
 
@@ -210,7 +216,7 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
             raise ValueError(f"row {i} has bytes that are no text")
     require_room(path, 8 * len(header) * len(rows))
     return _Table(
-        header,
+        name_columns(_read_head(path, text, text.first), text.skip_rows or 0),
         [column[1 + (text.unit_rows or 0) :] for column in zip_longest(*rows, fillvalue="")],
         text.first,
         text.decimal or ".",
@@ -246,11 +252,12 @@ def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Tab
     rows = _read_sheet(path, text)
     skip, units = find_header(rows[:100], columns, text.skip_rows)
     units = units if text.unit_rows is None else text.unit_rows
-    header, rows = rows[skip], rows[skip + 1 + units :]
+    names, header, rows = name_columns(rows, skip), rows[skip], rows[skip + 1 + units :]
     while rows and not any(value is not None for value in rows[-1]):
         rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
-    return _Table(list(map(str, header)), [column[1:] for column in table], skip + units + 2, text.decimal or ".")
+    columns_below = [column[1:] for column in table]
+    return _Table(names, columns_below, skip + units + 2, text.decimal or ".")
 
 
 def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import ProbeConfig
+from pipeline.config.quantities import middle
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.simulate import solve_response
 from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 
 
@@ -44,16 +45,19 @@ def note_size(
     ]
 
 
-def require_clearance(dataset: VibrationDataset, bearings: BearingConfig, nodes: Sequence[int]) -> None:
-    """Raise DataError where an amplitude leaves the radial clearance that a bearing at one of the ``nodes`` states."""
-    for node in nodes:
-        clearance = getattr(bearings.at(node), "radial_clearance", np.inf)
+def require_clearance(dataset: VibrationDataset, stated: Mapping[int, Mapping[str, Any]], most: float = 3.0) -> None:
+    """Raise DataError where an amplitude leaves the radial clearance that is ``stated`` at its node, by the key of what
+    states it; of a guess the one that is ``most`` standard deviations larger."""
+    for node, (key, source) in ((node, item) for node, sources in stated.items() for item in sources.items()):
+        number = getattr(source, "radial_clearance", np.inf)
+        clearance = middle(number) * getattr(number, "within", 1.0) ** most
         here = [c for c, channel in enumerate(dataset.channels) if channel[0] == node]
         largest = np.abs(dataset.displacement[:, here]).max(axis=(0, 1), initial=0.0)
         if largest.max() > clearance:
             raise DataError(
                 f"amplitudes at node {node} must lie within the radial clearance of its bearing "
-                f"(machine.bearings: {1e6 * clearance:g} um), but run '{dataset.runs[int(largest.argmax())]}' has "
+                f"({key}.radial_clearance: at most {1e6 * clearance:g} um), but run "
+                f"'{dataset.runs[int(largest.argmax())]}' has "
                 f"{1e6 * largest.max():.4g} um, {largest.max() / clearance:.3g} times as much: check the unit (um "
                 "called mm are 1000 times too large, um called mil 25.4 times), or correct the clearance"
             )

@@ -9,18 +9,18 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal
-from zipfile import ZipFile
 
 import numpy as np
 
 from pipeline.config.own_machines import clean_name
-from pipeline.data.mat_files import open_measured
-from pipeline.data.tables import PLAIN, list_sheets, list_units, read_table
+from pipeline.data.tables import PLAIN, list_sheets, read_table
 from pipeline.errors import DataError
+from pipeline.ingest.recordings import Contents, list_contents
+from pipeline.ingest.uff import list_records
 
 _MEANINGS = {
     "length": {"um": "um", "mm": "mm", "mils?": "mil", "in": "in", "m": "m"},
@@ -35,42 +35,41 @@ _PHASE = "phase|phs|ph|angle|deg|degrees?|lag|lead"
 _SPEED = "speed|rpm|drehzahl|1/min|min-1|cpm|frequency|freq|hz|rad/s"
 _TACHO = "tacho|tach|trigger|trig|key|keyphasor|kph"
 _TIME = "time|t|zeit"
+_RATE = r"fs|(sampl\w*)?(rate|frequency)"
+_SIGNALS = {"mv": "mV", "v|volts?": "V"} | _MEANINGS["length"]
 _ROLES = f"{_PHASE}|amp|ampl|amplitude|mag|magnitude|disp|1x|um|mm|mils?|in|m|v|mv|pp|p-p|pk|pk-pk|0-p|peak|rms|rad"
 _write = partial(json.dumps, ensure_ascii=False)
 
 
 def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
     """The kind of machine file in a folder (``tables`` of amplitudes and phases, ``recordings`` of signals), and what
-    takes the place of the example's values, by key; ``???`` for a convention that the file does not say.
+    takes the place of the example's values, by key; ``???`` for a convention that the file does not say, nothing for a
+    key that its format lacks.
 
     Files of the same columns beside it, and sheets of a workbook, are runs. Raises DataError for a file that is no
     table, and where no probe is recognised in its columns.
     """
-    units = {name: f"{name} {unit}" for name, unit in _list_columns(path).items()}
+    if path.suffix.lower() in (".uff", ".unv"):
+        return _recognize_records(path, folder)
+    contents = list_contents(path)
+    names = {name: name.rpartition(contents.mark)[2] for name in contents.units}
+    units = {name: f"{names[name]} {unit}" for name, unit in contents.units.items()}
     runs = {sheet or clean_name(path): (path, sheet) for sheet in list_sheets(path)}
     if len(runs) == 1:
-        beside = sorted(other for other in path.parent.iterdir() if other.suffix == path.suffix)
-        runs = {clean_name(other): (other, None) for other in beside if _list_columns(other).keys() == units.keys()}
-    phases = {_name_probe(name): name for name, text in units.items() if _has(_PHASE, text)}
+        runs = _find_beside(path, units, lambda other: list_contents(other).units)
+    phases = {_name_probe(names[name]): name for name, text in units.items() if _has(_PHASE, text)}
     further = [name for name in units if name not in phases.values()]
-    sizes = {_name_probe(name): name for name in further if not _has(f"{_SPEED}|{_TACHO}|{_TIME}", units[name])}
+    others = f"{_SPEED}|{_TACHO}|{_TIME}|{_RATE}"
+    sizes = {_name_probe(names[name]): name for name in further if not _has(others, units[name])}
     probes = {probe: name for probe, name in sizes.items() if probe in phases or not phases}
     if not probes:
         raise DataError(
             f"'{path}' must have an amplitude and a phase of each probe, or its signal, but no two of its columns are "
             f"called alike: {', '.join(units)}; give names such as 'DE_Y Amp' and 'DE_Y Phase', or leave new.from out"
         )
-    baseline = next((name for name in runs if re.search("found|base|ref|initial|null", name)), next(iter(runs)))
-    guesses = {"runs": _list_runs(runs, baseline, folder), "baseline": _write(baseline)}
+    guesses = _list_runs(runs, folder)
     if not phases:
-        seen = {probe: f"channel: {_write(name)}, scale: 7.87 V/mm" for probe, name in probes.items()}
-        for name in units:
-            if _has(_TIME, name):
-                guesses["sample_rate"] = f"null\n  time: {_write(name)}\n  time_unit: s"
-            if _has(_TACHO, name):
-                edge = "edge: rising, pulses_per_revolution: 1"
-                guesses["tacho"] = f"{{angle: 0 deg, channel: {_write(name)}, {edge}}}"
-        return "recordings", guesses | {"probes": _list_probes(seen)}
+        return "recordings", guesses | _describe_signals(contents, units, probes)
     speed = next((name for name in further if _has(_SPEED, units[name])), further[0])
     for key, meanings in _MEANINGS.items():
         told = {"speed": [speed], "phase": phases.values(), "phase_unit": phases.values()}.get(key, probes.values())
@@ -84,12 +83,43 @@ def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "r
     return "tables", guesses | {"speeds": _find_speeds(runs, speed, _RPM.get(guesses["speed"], 1.0))}
 
 
-def _list_columns(path: Path) -> dict[str, str]:
-    """Name of each column -> what stands below it."""
-    if path.suffix != ".npz":
-        return list_units(path)
-    with open_measured(path, "complete NumPy file (.npz)"), ZipFile(path) as file:
-        return {name.removesuffix(".npy"): "" for name in file.namelist()}
+def _describe_signals(contents: Contents, units: Mapping[str, str], probes: Mapping[str, str]) -> dict[str, str]:
+    """The guesses of time signals: their unit, the channel of the tacho, the times or the rate."""
+    text = " ".join(units[name] for name in probes.values())
+    unit = next((value for names, value in _SIGNALS.items() if _has(names, text)), "???")
+    scale = ", scale: 7.87 V/mm" if unit in ("V", "mV", "???") else ""
+    guesses = {"probes": _list_probes({probe: f"channel: {_write(name)}{scale}" for probe, name in probes.items()})}
+    tacho = next((name for name in units if _has(_TACHO, units[name])), "???")
+    guesses["tacho"] = f"{{angle: 0 deg, channel: {_write(tacho)}, edge: rising, pulses_per_revolution: 1}}"
+    rates = [f"null\n  time: {_write(name)}\n  time_unit: s" for name in units if _has(_TIME, units[name])]
+    named = [name for name in contents.attributes if _has(_RATE, name.replace("_", ""))]
+    rates += [f"null\n  sample_rate_attribute: {_write(name)}" for name in named]
+    return guesses | {"signal_unit": unit, "sample_rate": (["", *rates] if contents.rated else [*rates, "???"])[0]}
+
+
+def _find_beside(
+    path: Path, names: Mapping[str, str], look: Callable[[Path], Mapping[str, str]]
+) -> dict[str, tuple[Path, str | None]]:
+    """The files beside it, and itself, whose channels have the same names."""
+    beside = sorted(other for other in path.parent.iterdir() if other.suffix == path.suffix)
+    return {clean_name(other): (other, None) for other in beside if look(other).keys() == names.keys()}
+
+
+def _recognize_records(path: Path, folder: Path) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
+    """Of a universal file: its records by their text, or by node and direction where runs share the file."""
+    records, labels, timed = list_records(path)
+    runs: dict[str, tuple[Path, str | None]] = {label: (path, label) for label in labels}
+    runs = runs or _find_beside(path, records, lambda other: list_records(other)[0])
+    tacho = next((text for text in records if _has(_TACHO, text)), "tacho")
+    scale = ", scale: 7.87 V/mm" if timed else ""
+    probes = _list_probes({_name_probe(text): place + scale for text, place in records.items() if text != tacho})
+    guesses = _list_runs(runs, folder, "label") | {"format": "uff58", "probes": probes}
+    if timed:
+        place = records.get(tacho, 'record: "???"')
+        guesses |= {"tacho": f"{{angle: 0 deg, {place}, edge: rising}}", "sample_rate": "", "signal_unit": "???"}
+        return "recordings", guesses
+    guesses |= dict.fromkeys(("length", "amplitude", "phase", "speed"), "???") | {"speeds": "null"}
+    return "tables", guesses | dict.fromkeys(("layout", "phase_unit", "columns"), "")
 
 
 def _has(names: str, text: str) -> bool:
@@ -111,18 +141,20 @@ def _list_probes(seen: Mapping[str, str]) -> str:
         f"    {_write(probe)}: {{{place}, {said}}}\n"
         for place, (probe, said) in zip(places, seen.items(), strict=False)
     ]
-    return "".join(["  # recognised: confirm what belongs together, and give nodes and angles\n", *lines])
+    return "".join(["  # recognised: confirm what belongs together, and give nodes, angles and scales\n", *lines])
 
 
-def _list_runs(runs: Mapping[str, tuple[Path, str | None]], baseline: str, folder: Path) -> str:
+def _list_runs(runs: Mapping[str, tuple[Path, str | None]], folder: Path, part: str = "sheet") -> dict[str, str]:
+    """The runs, each a file or a ``part`` of it, and the one without weights among them."""
+    baseline = next((name for name in runs if re.search("found|base|ref|initial|null", name)), next(iter(runs)))
     lines = [
         "  # recognised: say what was on the shaft, such as unbalances: [{node: 2, magnitude: 9 g mm, phase: 0 deg}]\n"
     ]
-    for name, (path, sheet) in runs.items():
-        source = f"file: {_write(os.path.relpath(path, folder))}" + (f", sheet: {_write(sheet)}" if sheet else "")
+    for name, (path, label) in runs.items():
+        source = f"file: {_write(os.path.relpath(path, folder))}" + (f", {part}: {_write(label)}" if label else "")
         acting = "" if name == baseline else ', unbalances: "???"'
         lines.append(f"    - {{name: {_write(name)}, {source}{acting}}}\n")
-    return "".join(lines)
+    return {"runs": "".join(lines), "baseline": _write(baseline)}
 
 
 def _find_speeds(runs: Mapping[str, tuple[Path, str | None]], column: str, rpm: float) -> str:

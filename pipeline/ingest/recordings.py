@@ -8,12 +8,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig
 from pipeline.data.mat_files import (
+    list_mat,
     open_measured,
     read_mat,
     require_names,
@@ -21,11 +22,29 @@ from pipeline.data.mat_files import (
     require_unpacked,
     require_values,
 )
-from pipeline.data.tables import read_table
+from pipeline.data.tables import list_units, read_table
 from pipeline.errors import DataError, nearest
 
 Channels = dict[str, np.ndarray]
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+
+
+class Contents(NamedTuple):
+    """What a file says that it has."""
+
+    units: Mapping[str, str]  # by channel
+    attributes: Sequence[str] = ()  # those that may hold the sample rate
+    rated: bool = False  # its channels say their rate themselves
+    mark: str = "\0"  # what parts a group's name from its channel's
+
+
+def list_contents(path: Path) -> Contents:
+    """The channels of a file, without reading what they hold. Raises DataError for a file that can't be opened."""
+    if path.suffix.lower() not in _READERS:
+        return Contents(list_units(path))
+    _, kind, look = _READERS[path.suffix.lower()]
+    with open_measured(path, kind):
+        return look(path)
 
 
 def read_recording(
@@ -48,7 +67,7 @@ def read_recording(
     wanted = list(dict.fromkeys([*names, *([time] if time else [])]))
     ending, stated = path.suffix.lower(), None
     if ending in _READERS:
-        read, kind = _READERS[ending]
+        read, kind, _ = _READERS[ending]
         with open_measured(path, kind):
             channels, stated = read(path, wanted, attribute)
     elif ending in (".csv", ".txt", ".xlsx", ".xlsm", ".parquet"):
@@ -59,6 +78,7 @@ def read_recording(
             f"'{path.suffix}'"
         )
     count = check_channels(path, channels)
+    channels = {name: values.astype(float) for name, values in channels.items()}
     if time:
         return check_times(path, time, channels[time] * _SECONDS[unit or "s"]), channels
     if rate and stated and abs(rate / stated - 1) > 1e-6:
@@ -80,6 +100,12 @@ def check_channels(path: Path, channels: Mapping[str, np.ndarray], too_large: fl
 
     No instrument writes a number that is ``too_large``.
     """
+    for name, values in channels.items():
+        if values.ndim != 1 or values.dtype.kind not in "iuf":
+            raise DataError(
+                f"'{path}' must have one row of numbers in '{name}', but it has {values.dtype} values of shape "
+                f"{values.shape}: store each channel by itself"
+            )
     lengths = {name: len(values) for name, values in channels.items()}
     if len(set(lengths.values())) > 1:
         text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
@@ -120,15 +146,24 @@ def _read_hdf5(path: Path, names: Sequence[str], attribute: str | None) -> tuple
             item = file.get(name.strip("/"))
             if not isinstance(item, h5py.Dataset):
                 raise DataError(f"'{path}' must have the dataset '{name}', but it has not: {nearest(name, every)}")
-            if item.ndim != 1 or item.dtype.kind not in "iuf":
-                raise DataError(
-                    f"'{path}' must have one row of numbers in '{name}', but it has the shape {item.shape} of "
-                    f"{item.dtype}: store each channel as a dataset of its own"
-                )
             require_values(path, item)
-            channels[name] = item[()].astype(float)
+            channels[name] = np.asarray(item[()])
         places = [file.get(name.strip("/")) for name in names] + [file]
         return channels, _read_rate(path, attribute, places)
+
+
+def _list_hdf5(path: Path) -> Contents:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        places: dict[str, Any] = {"": file}
+        file.visititems(lambda name, item: places.update({name: item}))
+        units = {
+            name: " ".join(str(item.attrs[key]) for key in ("unit", "units") if key in item.attrs)
+            for name, item in places.items()
+            if isinstance(item, h5py.Dataset)
+        }
+        return Contents(units, [name for place in places.values() for name in place.attrs], mark="/")
 
 
 def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> float | None:
@@ -150,13 +185,21 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
 
 def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
     mat = read_mat(path, [*names, *([rate] if rate else [])])
-    for name, values in mat.items():
-        if values.dtype.kind not in "iuf":
-            raise DataError(f"'{path}' must have numbers in '{name}', but it has {values.dtype.name} values")
-    stated = mat.pop(rate) if rate and rate not in names else mat[rate] if rate else None
+    stated = mat[rate] if rate else None
     if stated is not None and (len(stated) != 1 or not 0 < float(stated[0]) < np.inf):
         raise DataError(f"'{path}' must have a rate in Hz in the variable '{rate}', but it has {stated[:3]}")
-    return {name: mat[name].astype(float) for name in names}, None if stated is None else float(stated[0])
+    return {name: mat[name] for name in names}, None if stated is None else float(stated[0])
+
+
+def _list_mat(path: Path) -> Contents:
+    shapes = list_mat(path)
+    columns = {
+        f"{name}(:,{column})" if len(shape) == 2 and min(shape) > 1 else name: ""
+        for name, shape in shapes.items()
+        if not set(shape) <= {1}
+        for column in range(1, 1 + (shape[1] if len(shape) == 2 and min(shape) > 1 else 1))
+    }
+    return Contents(columns, list(shapes.keys() - columns.keys()), mark=".")
 
 
 def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
@@ -183,6 +226,15 @@ def _read_tdms(path: Path, names: Sequence[str], attribute: str | None) -> tuple
     return channels, next(iter(rates), None)
 
 
+def _list_tdms(path: Path) -> Contents:
+    from nptdms import TdmsFile
+
+    with path.open("rb") as stream:
+        channels = [channel for group in TdmsFile.read_metadata(stream).groups() for channel in group.channels()]
+    units = {f"{c.group_name}/{c.name}": str(c.properties.get("unit_string", "")) for c in channels}
+    return Contents(units, rated=any("wf_increment" in channel.properties for channel in channels), mark="/")
+
+
 def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
     """Each array by itself: np.load would open objects, too, where it is asked to."""
     from zipfile import ZipFile
@@ -193,12 +245,15 @@ def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Chann
         wanted = (*names, *([rate] if rate else []))
         require_names(path, "array", wanted, stored)
         every = {name: np.lib.format.read_array(file.open(f"{name}.npy")) for name in wanted}
-        for name in names:
-            if every[name].ndim != 1 or every[name].dtype.kind not in "iuf":
-                found = f"{every[name].dtype} of shape {every[name].shape}"
-                raise DataError(f"'{path}' must have one row of numbers in '{name}', but it has {found}")
-        stated = float(every[rate].reshape(-1)[0]) if rate else None
-        return {name: every[name].astype(float) for name in names}, stated
+        return {name: every[name] for name in names}, float(every[rate].reshape(-1)[0]) if rate else None
+
+
+def _list_npz(path: Path) -> Contents:
+    from zipfile import ZipFile
+
+    with ZipFile(path) as file:
+        names = [name.removesuffix(".npy") for name in file.namelist()]
+    return Contents(dict.fromkeys(names, ""), names)
 
 
 def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[Channels, float | None]:
@@ -216,14 +271,21 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
             limits = np.iinfo(samples.dtype)
             full = (limits.max - limits.min + 1) / 2
             middle = limits.min + full
-        return {name: (every[name] - middle) / full for name in names}, float(rate)
+        return {name: (every[name] - middle) / full for name in names or every}, float(rate)
 
 
-_READERS: dict[str, tuple[Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]], str]] = {
-    **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file")),
-    ".tdms": (_read_tdms, "complete TDMS file"),
-    ".mat": (_read_mat, "complete MAT file"),
-    ".npz": (_read_npz, "complete NumPy file (.npz)"),
-    ".wav": (_read_wav, "complete WAV file"),
+def _list_wav(path: Path) -> Contents:
+    channels, _ = _read_wav(path, (), None)
+    return Contents(dict.fromkeys(channels, ""), rated=True)
+
+
+_Read = Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]
+_READERS: dict[str, tuple[_Read, str, Callable[[Path], Contents]]] = {
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file", _list_hdf5)),
+    ".tdms": (_read_tdms, "complete TDMS file", _list_tdms),
+    ".mat": (_read_mat, "complete MAT file", _list_mat),
+    ".npz": (_read_npz, "complete NumPy file (.npz)", _list_npz),
+    ".wav": (_read_wav, "complete WAV file", _list_wav),
 }
-"""By a file's ending: what gives the channels and the sample rate in Hz that the file states, and what it reads."""
+"""By a file's ending: what gives the channels and the sample rate in Hz that the file states, what it reads, and what
+says which channels there are."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -180,6 +182,25 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
     units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
     return records, 1 / factor if factor > 0 else 0.0
+
+
+def list_records(path: Path) -> tuple[dict[str, str], list[str], bool]:
+    """How each record of a run is found, by its name; the labels of the runs; whether they are time signals.
+
+    A label is a text that a record of every response has; what else stands as often as there are runs is the name of
+    a record. Raises DataError as :func:`read_uff`.
+    """
+    records, _ = read_uff(path)
+    counts, responses = Counter(text for record in records for text in record.texts), {r.response for r in records}
+    holders = {text: {record.response for record in records if record.is_called(text)} for text in counts}
+    labels = [text for text in counts if len(holders[text]) == counts[text] == len(responses) < len(records)]
+    places = {}
+    for record in records:
+        name = next((text for text in record.texts if counts[text] == (len(labels) or 1) and text not in labels), "")
+        node, direction = record.response
+        place = f"record: {json.dumps(name)}" if name else f"response: [{node}, {direction}]"
+        places[name or f"node_{node}_{direction}"] = place
+    return places, labels, records[0].abscissa_type == _TIME
 
 
 def find_record(

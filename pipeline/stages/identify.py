@@ -13,7 +13,7 @@ from pipeline.stages.execution import StageOutput
 
 def run(analysis: Analysis) -> StageOutput:
     """Read or simulate the data, diagnose, train; then each stage of the results. One of these that can't be made is
-    skipped with its reason, and what an earlier command left of it is removed.
+    skipped with its reason, what an earlier command left of it is removed, and the command ends with 1 after the rest.
 
     Raises PipelineError for data that can't be read, and, with a report of these alone, for coefficients that they do
     not determine.
@@ -38,7 +38,8 @@ def run(analysis: Analysis) -> StageOutput:
             (work.folder / file).unlink(missing_ok=True)
             skipped.append(stage)
             warn(f"{config.name}: stage={stage} is skipped: {error}")
-    also = f"; skipped: {', '.join(skipped)} (the reasons are above)" if skipped else ""
+    also = f"; skipped: {', '.join(skipped)} (the reasons are above; exit code 1)" if skipped else ""
     files = ", ".join(f"'{path}'" for path in (work.identified, *made))
     say(f"{config.name}: results after {time.perf_counter() - started:.0f} s in {files}{also}")
-    return StageOutput(metrics={"identify.skipped": float(len(skipped))}, tags={"skipped": ", ".join(skipped)})
+    metrics, tags = {"identify.skipped": float(len(skipped))}, {"skipped": ", ".join(skipped)}
+    return StageOutput(metrics, tags, exit_code=int(bool(skipped)))

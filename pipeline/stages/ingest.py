@@ -80,8 +80,13 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
     for run in recordings.runs:
         acting = [*(weight.node for weight in run.unbalances), *(force.node for force in run.forces)]
         require_nodes(rotor, f"machine.recordings.runs, run '{run.name}',", acting)
-    measured, model = read_measured_runs(recordings), config.model
-    require_clearance(measured.recorded, config.machine.bearings, rotor.bearing_nodes)
+    measured, model, machine = read_measured_runs(recordings), config.model, config.machine
+    laws = machine.laws.bearings if machine.laws else {}
+    stated = {
+        node: {"machine.bearings": machine.bearings.at(node), f"machine.laws.bearings.{node}": laws.get(node)}
+        for node in rotor.bearing_nodes
+    }
+    require_clearance(measured.recorded, stated)
     notes = [*note_casing(recordings.probes, rotor.bearing_nodes), *measured.notes, *note_whirl(measured.recorded)]
     notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

@@ -10,7 +10,6 @@ from pathlib import Path
 from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute
 from pipeline.data.csv_format import CsvConfig, describe_format
-from pipeline.data.tables import is_csv
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
 from pipeline.ingest.recognition import recognize_recordings
@@ -36,7 +35,7 @@ def run(analysis: Analysis) -> StageOutput:
     if config.new.source:
         source = make_absolute(config.new.source)
         data, guesses = recognize_recordings(source, path.parent)
-        for sentence in describe_format(source, (), CsvConfig()) if is_csv(source) and source.suffix != ".npz" else ():
+        for sentence in describe_format(source, (), CsvConfig()) if source.suffix in (".csv", ".txt") else ():
             say(sentence)
     text = insert_guesses(fill_template(path, config.new.bearings, data), guesses)
     write_text(path, text)
@@ -44,23 +43,25 @@ def run(analysis: Analysis) -> StageOutput:
     if data == "simulated":
         say(f"it runs as it is; next: {command.format('stage=identify')}")
     else:
+        asked = f"places of the probes and every ??? ({text.count('???')})" if guesses else "probes, runs and paths"
         say(
-            "fill in rotor, probes, runs and the paths of your data (what you leave as it is belongs to an example), "
-            f"next: {command.format('stage=identify')}"
+            f"fill in the rotor, {asked} (what you leave as it is belongs to an example), next: "
+            f"{command.format('stage=identify')}"
         )
     return StageOutput(files=[path])
 
 
 def insert_guesses(text: str, guesses: Mapping[str, str]) -> str:
     """A machine file with what was recognised in place of the example's: the values, or lines, of keys of
-    ``recordings``."""
+    ``recordings``; a key without any becomes a comment."""
     before, mark, recordings = text.partition("\nrecordings:\n")
     for key, guess in guesses.items():
         value = guess if guess.startswith("  #") else f" {guess}"  # lines, with what to confirm of them
         pattern = rf"(?m)^( +{key}:)(?: [^#\n]+?(?= *(?:#|$))|.*\n(?:    .*\n)+)"
         found = re.search(pattern, recordings)
         if found:
-            recordings = recordings[: found.start()] + found[1] + value + recordings[found.end() :]
+            told = found[1] + value if guess else found[0].replace(key, f"# {key}", 1)
+            recordings = recordings[: found.start()] + told + recordings[found.end() :]
     return before + mark + recordings
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,8 +12,8 @@ from pipeline.errors import ConfigError
 from pipeline.identification.fit import loss_of
 from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import count_progress, warn
-from pipeline.tracking import StageRecord
-from pipeline.tuning.finalists import TrialSummary
+from pipeline.tracking import RUNNING, StageRecord, hand_over
+from pipeline.tuning.finalists import TrialSummary, summarize
 from pipeline.tuning.storage import list_results
 from pipeline.tuning.study import StudyProblem
 from pipeline.tuning.worker import run_study
@@ -48,8 +48,9 @@ def say_interrupt(what: str) -> Iterator[None]:
         raise SystemExit(130) from None
 
 
-def search(problem: StudyProblem, title: str) -> Any:
-    """The study with all its trials, and on screen how far it is: the database is asked once a second."""
+def search(problem: StudyProblem, title: str, seen: Callable[[Any], None] = lambda study: None) -> Any:
+    """The study with all its trials, and on screen how far it is: the database is asked once a second, and the study
+    is ``seen`` then."""
     total, due = problem.config.tuning.n_trials, 0.0
 
     def show(study: Any) -> None:
@@ -62,12 +63,38 @@ def search(problem: StudyProblem, title: str) -> Any:
         losses = [10**trial.value for trial in finished if trial.state.name == "COMPLETE" and trial.value is not None]
         best = write_number(min(losses, default=None))
         shown(min(len(finished), total), f"trials, best held-out loss {best}")
+        seen(study)
 
     with count_progress(title, total) as shown:
         study, sentences = run_study(problem, show)
     for sentence in sentences:
         warn(f"{problem.config.name}: {sentence}")
     return study
+
+
+def record_on_the_way(config: Config) -> Callable[[Any], None]:
+    """A function of a study that hands over what has ended since this was called: its trials are in MLflow at once."""
+    started, handed = time.time(), set[int]()
+
+    def hand(study: Any) -> None:
+        trials = [trial for trial in summarize(study) if trial.ended >= started and trial.number not in handed]
+        handed.update(trial.number for trial in trials)
+        record = StageRecord(
+            experiment=config.name,
+            stage=config.stage,
+            title=" ".join((config.stage, config.name, *config.overrides)),
+            started=started,
+            ended=time.time(),
+            parameters={},
+            tags={"study": config.tuning.study},
+            metrics={},
+            children=[record_trial(config.name, trial) for trial in trials],
+            status=RUNNING,
+        )
+        if trials:
+            hand_over(record, config.tracking)
+
+    return hand
 
 
 def record_trial(experiment: str, trial: TrialSummary) -> StageRecord:

@@ -20,7 +20,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.before_fit import say_diagnosis
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare
-from pipeline.stages.studies import pose_study, record_trial, say_interrupt, search
+from pipeline.stages.studies import pose_study, record_on_the_way, record_trial, say_interrupt, search
 from pipeline.tuning.finalists import choose, hash_study, measure_importances, summarize, train_finalists
 from pipeline.tuning.storage import close_storage, is_shared, open_storage
 from pipeline.tuning.study import StudyProblem, require_study
@@ -39,7 +39,7 @@ def run(analysis: Analysis) -> StageOutput:
     say_diagnosis(analysis)
     started = time.perf_counter()
     with say_interrupt(f"{config.name}: study"):
-        study = search(problem, config.name)
+        study = search(problem, config.name, record_on_the_way(config))
         searched = time.perf_counter() - started
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):  # of several processes that end a study together, one makes the report

@@ -23,6 +23,8 @@ from pipeline.errors import without_password
 NAME_LENGTH = 250
 PARAMETER_LENGTH = 6000
 TAG_LENGTH = 8000
+RUNNING = "RUNNING"
+"""The status of a stage that goes on; its last record has another one."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class StageRecord:
     :param files: images go to the artifact folder ``figures``, other files to ``files``
     :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
     :param children: logged as runs below this one: parameters, tags, metrics and history of each
-    :param status: ``FINISHED``, ``KILLED`` or ``FAILED``
+    :param status: ``FINISHED``, ``KILLED`` or ``FAILED``; ``RUNNING`` with children alone, before the stage ends
     """
 
     experiment: str

@@ -25,6 +25,7 @@ from pipeline.errors import StorageError, without_password
 from pipeline.processes import delay_interrupt, let_interrupt_through
 from pipeline.tracking.entries import (
     NAME_LENGTH,
+    RUNNING,
     MetricValue,
     StageRecord,
     collect_history,
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
     from pipeline.config.schema import TrackingConfig
 
 _running: list[tuple[SpawnProcess, Connection]] = []
+_begun: dict[tuple[str, str], tuple[MlflowClient, Run, set[str]]] = {}
+"""By experiment and stage: the run of a stage that still runs, and which of its children it has."""
 
 
 @contextmanager
@@ -81,9 +84,25 @@ def _serve(connection: Connection) -> None:
             from mlflow import MlflowClient, pyfunc  # noqa: F401  # so that `track` finds them imported
             from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
         while True:
-            connection.send(track(*connection.recv()))
+            record, settings = connection.recv()
+            sentences = track(record, settings)
+            if record.status != RUNNING:
+                connection.send(sentences)
     except (KeyboardInterrupt, OSError, EOFError):
+        for client, run, _ in _begun.values():  # of a stage that was interrupted
+            with suppress(Exception):
+                client.set_terminated(run.info.run_id, "KILLED")
         os._exit(0)  # taking MLflow down in order takes a while, and the command waits for it
+
+
+def hand_over(record: StageRecord, settings: TrackingConfig) -> None:
+    """Log the children of a stage that still runs, without waiting for it: its last record has those that it lacks.
+
+    Only another process does it (:func:`recorder_beside`).
+    """
+    if settings.enabled and _running:
+        with suppress(OSError):
+            _running[-1][1].send((record, settings))
 
 
 def track(record: StageRecord, settings: TrackingConfig) -> list[str]:
@@ -125,11 +144,21 @@ def _log_beside(record: StageRecord, settings: TrackingConfig, patience_seconds:
 
 
 def _log(record: StageRecord, settings: TrackingConfig) -> list[str]:
-    client, experiment_id = open_experiment(settings, record.experiment)
-    run = _begin(client, experiment_id, record, describe_provenance() | _stage_tags(record))
+    key = record.experiment, record.stage
+    if key not in _begun:
+        client, experiment_id = open_experiment(settings, record.experiment)
+        run = _begin(client, experiment_id, record, describe_provenance() | _stage_tags(record))
+        _begun[key] = client, run, set()
+    client, run, logged = _begun[key]
     run_id = run.info.run_id
+    if record.status == RUNNING:
+        for child in record.children:
+            _log_child(client, run, record, child)
+            logged.add(child.stage)
+        return []
+    del _begun[key]
     try:
-        problems = _log_parts(client, run, record, settings.timeout_seconds)
+        problems = _log_parts(client, run, record, settings.timeout_seconds, logged)
     except BaseException as error:
         with suppress(Exception):
             client.set_terminated(run_id, "KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
@@ -155,9 +184,12 @@ def _begin(client: MlflowClient, experiment_id: str, record: StageRecord, tags: 
     )
 
 
-def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float) -> list[str]:
-    """Log each part of the record by itself; sentences on those that MLflow does not have."""
+def _log_parts(
+    client: MlflowClient, run: Run, record: StageRecord, patience_seconds: float, logged: set[str]
+) -> list[str]:
+    """Log each part of the record by itself, without the children ``logged``; sentences on those that are missing."""
     import yaml
+    from mlflow.entities import RunTag
 
     run_id = run.info.run_id
     model_ids: list[str] = []
@@ -168,7 +200,9 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
         _log_values(client, run_id, collected[0], {}, *model_id)
         not_finite.extend(collected[1])
 
+    tags = [RunTag(*tag) for tag in flatten_tags(dict(record.tags)).items() if tag[0] not in run.data.tags]
     parts: list[tuple[str, Callable[[], object]]] = [
+        *([("the tags", partial(client.log_batch, run_id, tags=tags))] if tags else []),
         ("the parameters", lambda: _log_values(client, run_id, (), record.parameters)),
         (
             "the configuration",
@@ -187,7 +221,11 @@ def _log_parts(client: MlflowClient, run: Run, record: StageRecord, patience_sec
         (f"the file {path}", partial(client.log_artifact, run_id, str(path), folder))
         for path, folder in _sort_files(record.files)
     ]
-    parts += [(child.stage, partial(_log_child, client, run, record, child)) for child in record.children]
+    parts += [
+        (child.stage, partial(_log_child, client, run, record, child))
+        for child in record.children
+        if child.stage not in logged
+    ]
     problems = try_parts(parts, record.stage, patience_seconds)
     if not_finite:
         names = ", ".join(dict.fromkeys(not_finite))

@@ -80,10 +80,50 @@ def add_trials(path: Path, name: str, storage: optuna.storages.BaseStorage) -> o
         if metrics:
             study.set_metric_names(metrics)
         save_note(study, note)
-        study.add_trials(trials)
+    _add_at_once(study, trials, storage)
     for key, value in attributes.items():
         study.set_user_attr(key, value)
     return study
+
+
+def _add_at_once(study: optuna.Study, trials: Sequence[FrozenTrial], storage: Any) -> None:
+    """``study.add_trials`` in one transaction, by the classes of Optuna's tables: that asks the database for each value
+    of each trial, which takes 22 s of a processor for 290 trials, and this one 1 s."""
+    from optuna.distributions import distribution_to_json
+    from optuna.storages._rdb import models
+    from optuna.storages._rdb.storage import _create_scoped_session
+
+    values, steps = models.TrialValueModel, models.TrialIntermediateValueModel
+
+    def store(number: int, trial: FrozenTrial) -> models.TrialModel:
+        final = [(k, *values.value_to_stored_repr(value)) for k, value in enumerate(trial.values or ())]
+        curve = [(k, *steps.intermediate_value_to_stored_repr(v)) for k, v in trial.intermediate_values.items()]
+        return models.TrialModel(
+            number=number,
+            study_id=study._study_id,
+            state=trial.state,
+            datetime_start=trial.datetime_start,
+            datetime_complete=trial.datetime_complete,
+            values=[values(objective=k, value=value, value_type=kind) for k, value, kind in final],
+            params=[
+                models.TrialParamModel(
+                    param_name=name,
+                    param_value=span.to_internal_repr(trial.params[name]),
+                    distribution_json=distribution_to_json(span),
+                )
+                for name, span in trial.distributions.items()
+            ],
+            user_attributes=[
+                models.TrialUserAttributeModel(key=key, value_json=json.dumps(value))
+                for key, value in trial.user_attrs.items()
+            ],
+            intermediate_values=[
+                steps(step=step, intermediate_value=value, intermediate_value_type=kind) for step, value, kind in curve
+            ],
+        )
+
+    with _create_scoped_session(storage.scoped_session) as session:
+        session.add_all(store(number, trial) for number, trial in enumerate(trials))
 
 
 def _make(line: dict[str, Any]) -> FrozenTrial:

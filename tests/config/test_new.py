@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.io
 from conftest import refused
 from machine_files import UNKNOWNS, given_by, machine_file
+from measured_files import uff_set, write_hdf5, write_tdms, write_uff
+from scipy.io import wavfile
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
@@ -139,33 +143,39 @@ def test_a_template_for_recordings_asks_for_paths_and_positions_alone(data: str,
 
 
 def write_log(folder: Path, kind: str) -> Path:
-    """The runs of the example as a logger exports them: cp1252, semicolons, decimal commas, a row of units; or a
-    workbook."""
+    """The runs of the example as a logger exports them: cp1252, semicolons, decimal commas, a row of units, or
+    ``groups`` of columns below the names of the probes; or a workbook."""
     tables = {name: pd.read_csv(EXAMPLE / f"{name}.csv") for name in ("as_found", "first_disc", "second_disc")}
     if kind == "workbook":
         with pd.ExcelWriter(folder / "all.xlsx") as book:
             for name, table in tables.items():
                 table.to_excel(book, sheet_name=name, index=False)
         return folder / "all.xlsx"
-    names = ["Speed", *(f"{probe}{part}" for probe in PROBES for part in (" Amp", " Phase"))]
+    parts = [f"{probe} {part}" for probe in PROBES for part in ("Amp", "Phase")]
+    heads = {
+        "csv": [";".join(["Speed", *parts]), "rpm;" + ";".join(["µm pp;° lag"] * len(PROBES))],
+        "groups": [
+            ";" + ";;".join(PROBES) + ";",
+            "Speed [rpm];" + ";".join(["Amp [µm pp];Phase [° lag]"] * len(PROBES)),
+        ],
+    }
     for name, table in tables.items():
         scaled = table * [1.0, *[25.4, 1.0] * len(PROBES)]
         rows = scaled.to_csv(sep=";", decimal=",", header=False, index=False, lineterminator="\r\n")
-        text = "\r\n".join([";".join(names), "rpm;" + ";".join(["µm pp;° lag"] * len(PROBES)), rows])
-        (folder / f"{name}.csv").write_bytes(text.encode("cp1252"))
+        (folder / f"{name}.csv").write_bytes("\r\n".join([*heads[kind], rows]).encode("cp1252"))
     return folder / "first_disc.csv"
 
 
 PROBES = ("DE_left", "DE_right", "NDE_left", "NDE_right")
 
 
-@pytest.mark.parametrize("kind", ["csv", "workbook"])
+@pytest.mark.parametrize("kind", ["csv", "groups", "workbook"])
 def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Four edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""
     source = write_log(folder, kind)
     path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{source}'")
-    assert ("cp1252, ';' between fields, decimal commas" in capsys.readouterr().out) == (kind == "csv")
-    with refused("unbalances must be given, but is ???", kind=ConfigError):
+    assert ("cp1252, ';' between fields, decimal commas" in capsys.readouterr().out) == (kind != "workbook")
+    with refused("unbalances must be given, but is ???: write it in place of the ???", kind=ConfigError):
         compose_config([given_by(path)])
     edits = {
         "  file: null  # a rotor": f"  file: {EXAMPLE / 'rotor.toml'}  # a rotor",
@@ -189,7 +199,7 @@ def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, caps
 
 
 def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
-    """A convention that no word tells has no value; arrays without phases are signals; columns must belong together."""
+    """A convention that no word tells has no value; columns must belong together."""
     columns = {"n [1/min]": [600.0, 700.0], "A Amp": [1.0, 2.0], "A Phase": [3.0, 4.0], "note": [0, 0]}
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
     kind, guesses = recognize_recordings(tmp_path / "a.csv", tmp_path)
@@ -201,12 +211,40 @@ def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
     )
     assert '"A": {node: 1, angle: 45 deg, columns: {amplitude: "A Amp", phase: "A Phase"}}' in guesses["probes"]
     assert "note" not in guesses["probes"]
-    np.savez(tmp_path / "b.npz", DE_x=np.zeros(3), tacho=np.zeros(3), time=np.arange(3.0))
-    kind, guesses = recognize_recordings(tmp_path / "b.npz", tmp_path)
-    assert (kind, guesses["baseline"]) == ("recordings", '"b"')
-    assert 'time: "time"' in guesses["sample_rate"]
-    assert 'channel: "tacho"' in guesses["tacho"]
-    assert guesses["probes"].count("channel") == guesses["probes"].count('"DE_x", scale') == 1
     pd.DataFrame({"speed": [1.0], "A Phase": [2.0]}).to_csv(tmp_path / "c.csv", index=False)
     with refused("must have an amplitude and a phase of each probe", "speed, A Phase"):
         recognize_recordings(tmp_path / "c.csv", tmp_path)
+
+
+TIME = np.arange(400) / 1000
+SIGNALS = {"DE_left": np.sin(300 * TIME), "DE_right": np.cos(300 * TIME), "tacho": np.sign(np.sin(300 * TIME))}
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "h5": lambda path: write_hdf5(path, {f"signals/{name}": values for name, values in SIGNALS.items()}, 1000.0),
+    "tdms": lambda path: write_tdms(path, SIGNALS, 1000.0),
+    "mat": lambda path: scipy.io.savemat(path, SIGNALS | {"fs": 1000.0, "title": "pump"}),
+    "npz": lambda path: np.savez(path, **SIGNALS, time=TIME),
+    "wav": lambda path: wavfile.write(path, 1000, np.stack(list(SIGNALS.values()), axis=1)),
+    "uff": lambda path: write_uff(
+        path,
+        [
+            uff_set(TIME, values, 1, place, [name, path.stem], abscissa_spacing=1)
+            for place, (name, values) in enumerate(SIGNALS.items(), 1)
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_signals_of_any_format_fill_the_machine_file(ending: str, folder: Path) -> None:
+    """What the libraries of the formats wrote is read by the keys that were recognised, with its times."""
+    for run in ("as_found", "first"):
+        WRITERS[ending](folder / f"{run}.{ending}")
+    path = made_by_new(folder / "rig.yaml", f"new.from='{folder / 'first'}.{ending}'")
+    text = path.read_text().replace("signal_unit: ???", "signal_unit: V").replace('channel: "???"', 'channel: "3"')
+    path.write_text(text.replace('"???"', "[{node: 2, magnitude: 9 g mm, phase: 0 deg}]"))
+    recordings = compose_config([given_by(path)]).machine.recordings
+    loaded = recordings.load(recordings.runs[-1], Path(recordings.runs[-1].file))
+    assert [run.name for run in recordings.runs] == ["as_found", "first"]
+    np.testing.assert_allclose(loaded.time, TIME, atol=1e-6)
+    first = list(loaded.signals.values())[:2]
+    np.testing.assert_allclose(first, [SIGNALS["DE_left"], SIGNALS["DE_right"]], atol=1e-6)

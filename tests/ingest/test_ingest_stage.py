@@ -17,6 +17,7 @@ from measured_files import CONVENTIONS, long, probes_config, table_config, vecto
 from reading import BARE, DISC, ONE, RPM, RUNS, _mapping, read, waves, wide_runs, with_ingest
 
 from pipeline.__main__ import main
+from pipeline.config.quantities import GuessConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError, DataError
@@ -252,8 +253,10 @@ def test_units_that_the_model_contradicts_are_warned_of(
     largest, sizes = float(np.abs(made.dataset.displacement).max()), {"journal_diameter": 1, "length": 1}
     for clearance, factor in ((largest, ""), (largest / 1000, "times as much: check the unit")):
         film = CylindricalBearingConfig(kind="cylindrical", radial_clearance=clearance, oil_viscosity=0.1, **sizes)
-        with pytest.raises(DataError, match=factor) if factor else nullcontext():
-            require_clearance(made.dataset, film, [0, 1, 2])
+        law = film.model_copy(update={"radial_clearance": GuessConfig(guess=clearance / 8, within=2.0)})  # 3 of them: 8
+        for source in (film, law):
+            with pytest.raises(DataError, match=f"law.radial_clearance: .*{factor}") if factor else nullcontext():
+                require_clearance(made.dataset, {node: {"law": source} for node in (0, 1, 2)})
 
 
 @pytest.mark.usefixtures("no_figures")

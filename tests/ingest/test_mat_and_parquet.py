@@ -136,7 +136,7 @@ def test_what_a_mat_file_lacks_is_named(write: Any, tmp_path: Path) -> None:
             {"sample_rate": None, "sample_rate_attribute": "fs"},
             "a rate in Hz in the variable 'fs', but it has [1. 2.]",
         ),
-        ("text", {}, "numbers in 'text'"),
+        ("text", {}, "one row of numbers in 'text'"),
     ):
         probes = probes_config(channel=lambda name, channel=channel: channel, scale=lambda name: "8 V/mm")
         with refused(f"must have {words}"):

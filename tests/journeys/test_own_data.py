@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from conftest import assert_says
 from machine_files import given_by, machine_file
 from running import ROOT, composed, python
 
@@ -18,6 +19,7 @@ from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.stages import identify
 from pipeline.stages.analysis import Analysis
+from pipeline.stages.execution import record
 
 EXAMPLE = ROOT / "examples" / "measured_demo"
 TRUTH = {  # of make_recordings.py
@@ -93,18 +95,18 @@ def config(tmp_path: Path) -> Config:
 def test_a_result_that_can_not_be_made_is_skipped_with_its_reason(
     config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What an earlier command left of it goes: nobody takes it for this one's."""
+    """What an earlier command left of it goes, so that nobody takes it for this one's; a script sees the exit code."""
     stages = Stages(predict=ConfigError("machine.prediction must be given"))
     monkeypatch.setattr(Analysis, "run", stages.run)
     (tmp_path / "prediction.json").write_text("{}")
     (tmp_path / "metrics.json").write_text("{}")
-    identify.run(Analysis(config))
+    with pytest.raises(SystemExit, match=r"^1$"):
+        record(Analysis(config), identify.run)
     assert stages.seen == ["generate", "diagnose", "train", *[stage for stage in RESULTS if stage in STAGES]]
     assert (tmp_path / "metrics.json").exists()
     assert not (tmp_path / "prediction.json").exists()
     said = capsys.readouterr()
-    assert "stage=predict is skipped: machine.prediction must be given" in said.err
-    assert "skipped: predict" in said.out
+    assert_says(said.err + said.out, "stage=predict is skipped: machine.prediction must be given", "skipped: predict")
 
 
 def test_data_that_determine_nothing_stop_it(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,7 +121,7 @@ def test_data_of_other_programs_are_not_generated(config: Config, monkeypatch: p
     stages = Stages()
     monkeypatch.setattr(Analysis, "run", stages.run)
     data = config.data.model_copy(update={"vibration": "v.csv", "excitation": "e.csv"})
-    identify.run(Analysis(config.model_copy(update={"data": data})))
+    assert identify.run(Analysis(config.model_copy(update={"data": data}))).exit_code == 0
     assert stages.seen[:2] == ["diagnose", "train"]
 
 
