@@ -131,7 +131,10 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
         scale, unit = UNITS[name[0]]
         values, deviations = scale * shown.identified.values[b, at, c], scale * shown.deviation[b, at, c]
         lost = [" *" * bool(each) for each in shown.lost[b, at, c]]
-        cells = [write_number(*pair, 5) + said for *pair, said in zip(values, deviations, lost, strict=True)]
+        cells = [
+            write_number(float(value), float(spread), 5) + star
+            for value, spread, star in zip(values, deviations, lost, strict=True)
+        ]
         rows.append([f"node {shown.identified.nodes[b]} {name}, {unit}", *cells])
     heads = ["at every speed"] if constant else [f"{write_number(rpm, digits=6)} rpm" for rpm in shown.rpm[at]]
     stated = " +- one standard deviation" if shown.stated else ""
