@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 577,
     "comparison": 147,
     "tuning": 549,
-    "reporting": 2467,
+    "reporting": 2492,
     "tracking": 359,
     "stages": 1196,
     "beside the rooms": 523,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18072, 14500),
+    "statements of pipeline/": (18097, 14500),
     "files": (267, 250),
     "classes": (324, 260),
     "is None, is not None": (343, 420),
     "isinstance on configurations": (7, 10),
-    "numeric constants of modules": (44, 150),
+    "numeric constants of modules": (43, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12828, 13000),
+    "statements of tests/": (12891, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),

@@ -28,7 +28,7 @@ def write_number(value: float | None, deviation: float | None = None, digits: in
         place = max(place, math.floor(math.log10(abs(value))) - _MOST_DIGITS)
     if place < -_MOST_DECIMALS:
         return f"{value:.{digits}g} +- {deviation:.2g}"
-    return " +- ".join(f"{round(number, -place):.{max(-place, 0)}f}" for number in (value, deviation))
+    return " +- ".join(f"{round(number, -place) + 0.0:.{max(-place, 0)}f}" for number in (value, deviation))  # no -0
 
 
 def write_percent(share: float, sign: str = "") -> str:

@@ -31,8 +31,8 @@ class Outcome(StrEnum):
     """The end of a training, and what to try next where it fell short."""
 
     CONVERGED = (
-        "converged: the loss hardly falls any more (by less than training.tolerance, or than the scatter of the data "
-        "tells, in the phase's patience)"
+        "converged: the last steps lowered the loss by less than training.tolerance, or by less than the scatter of "
+        "the data lets tell"
     )
     BUDGET_SPENT = (
         "budget spent: the loss still fell at the last step; give the last phase more steps "

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
 
 KINDS = {"k": "stiffness", "c": "damping"}
-BAND = "nominal 95 %, alone where not determined"
+BAND = "95 % band (alone: not determined)"
 UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
 """What SI is multiplied by, and the name of the unit."""
 
@@ -63,6 +64,11 @@ class Coefficients:
         """Whether the fit states deviations."""
         return bool(np.isfinite(self.deviation).any())
 
+    @cached_property
+    def lost(self) -> np.ndarray:
+        """(B, S, 8) bool: where the data do not determine it."""
+        return Deviations(self.identified, self.deviation, "").lost
+
     @property
     def rpm(self) -> np.ndarray:
         """(S,)."""
@@ -94,7 +100,7 @@ class Coefficients:
         if known:
             return [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")] if values.any() else []
         band = NOMINAL_95 * scale * self.deviation[b, :, c]
-        lost = Deviations(self.identified, self.deviation, "").lost[b, :, c]
+        lost = self.lost[b, :, c]
         given = np.where(lost, np.nan, values)
         drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
         if lost.all():
@@ -133,11 +139,21 @@ def draw_bearing(shown: Coefficients, b: int, letter: str, si: bool = False) -> 
         errors += shown.draw_errors(b, name, look[0]) if name in shown.unknowns[b] else []
     values = np.concatenate([curve.y for curve in curves] or [np.zeros(1)])
     scaled = "log" if si and np.nanmin(values, initial=np.inf) > 0 else "linear"
-    axes = [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled)]
+    axes = [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled, y_range=clip_bands(curves, scaled == "log"))]
     if si and shown.compared and errors:
         stated = ", and nominal\n95 % (dotted)" if shown.stated else ""
         axes.append(Axes(errors, f"error{stated} (%)", scale="log"))
     return Panel(f"bearing at node {shown.identified.nodes[b]}", RPM, axes)
+
+
+def clip_bands(curves: Sequence[Curve], logarithmic: bool) -> tuple[float, ...]:
+    """Ends of an axis where bands of what is not determined would rule it: twice as wide as the values; else none."""
+    values = np.concatenate([NOTHING, *(curve.y[np.isfinite(curve.y)] for curve in curves)])
+    bands = np.concatenate([NOTHING, *(edge for curve in curves for edge in curve.edges(logarithmic)[1:])])
+    low, high = (float(end(values, initial=start)) for end, start in ((np.min, np.inf), (np.max, -np.inf)))
+    span = max(high - low, abs(low), abs(high))
+    ends = (low / 10, 10 * high) if logarithmic else (low - span, high + span)
+    return ends if (bands < ends[0]).any() or (bands > ends[1]).any() else ()
 
 
 def draw_coefficients(path: Path, shown: Coefficients, letter: str = "") -> Path:

@@ -187,7 +187,9 @@ def list_parameters(
                 "" if number["deviation"] < told * prior else "as stated: the data do not tell",
             ]
         )
-    return Table(caption, ["parameter", "unit", "stated", "found", "over its tolerance", ""], rows)
+    return Table(
+        caption, ["parameter", "unit", "stated", "found", "over its tolerance", "remark"], rows
+    ).without_blank()
 
 
 def choose_unit(kind: str) -> tuple[str, float]:
@@ -254,7 +256,7 @@ def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
     """A row a number."""
     return Table(
         caption,
-        ["number", "found", "unit", "+- %", "guess", ""],
+        ["number", "found", "unit", "+- %", "guess", "remark"],
         [
             [
                 number.label,
@@ -266,7 +268,7 @@ def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
             ]
             for number in numbers
         ],
-    )
+    ).without_blank()
 
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:

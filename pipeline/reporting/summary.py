@@ -14,7 +14,7 @@ from pipeline.coefficients import COEFFICIENTS, unit
 from pipeline.config.machine import PredictionConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import name_direction
-from pipeline.data.operating import name_state, split_states
+from pipeline.data.operating import split_states
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
@@ -26,8 +26,8 @@ from pipeline.write_numbers import count, format_engineering, write_number, writ
 
 WIDTH = 100
 _INDENT = " " * 13
-_MOST_ROWS = 16
-"""All eight coefficients of two bearings."""
+_MOST_ROWS, _MOST_RUNS = 16, 6
+"""All eight coefficients of two bearings; runs that are named."""
 
 
 def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str:
@@ -97,21 +97,18 @@ def describe_data(content: ReportContent, fit: FitContent) -> str:
     states = [label for label, _ in split_states(data.speeds, data.operating)]
     at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {baseline}" if baseline else ""
+    more = f" and {len(data.runs) - _MOST_RUNS} more" if len(data.runs) > _MOST_RUNS else ""
     kind = "modelled" if fit.coefficients.compared else "measured"
     return (
-        f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs)}){less}; {count(len(rpm), 'speed')} from "
-        f"{rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at {_name_nodes(nodes)}"
+        f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs[:_MOST_RUNS])}{more}){less}; "
+        f"{count(len(rpm), 'speed')} from {rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at "
+        f"{_name_nodes(nodes)}"
     )
 
 
 def _list_speeds(fit: FitContent) -> np.ndarray:
     """(U,) the different speeds of the data in rpm."""
     return to_rpm(np.unique(fit.answer.measurement.dataset.speeds))
-
-
-def _name_state(fit: FitContent) -> str:
-    """The conditions of the prediction, such as ``, 70 degC``; no words without any."""
-    return f", {name_state(fit.operating)}" if fit.operating else ""
 
 
 def _find_speed(config: Config, fit: FitContent) -> int:
@@ -186,7 +183,7 @@ def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
         f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
         for mode in critical.values()
     ]
-    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{_name_state(fit)}"
+    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}"
 
 
 def describe_stability(stability: Mapping[str, Any]) -> str:
@@ -212,7 +209,7 @@ def _describe_prediction(asked: PredictionConfig, fit: FitContent, twin: Twin) -
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in shown]
     s, d = np.unravel_index(size.argmax(), size.shape)
     return (
-        f"node {identified.node} at {rpm[at]:g} rpm{_name_state(fit)}: {', '.join(phrases)} (zero-to-peak); "
+        f"node {identified.node} at {rpm[at]:g} rpm{fit.state}: {', '.join(phrases)} (zero-to-peak); "
         f"at most {write_number(float(size[s, d]))} um in {'xy'[d]} at {rpm[s]:g} rpm; under {acting}"
     )
 

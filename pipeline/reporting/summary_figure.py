@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, is_direct, unit
+from pipeline.coefficients import COEFFICIENTS, is_direct
 from pipeline.data.operating import find_nearest
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
@@ -25,7 +25,7 @@ from pipeline.reporting.blocks import (
     Panel,
     mark,
 )
-from pipeline.reporting.coefficient_figures import KINDS, Coefficients
+from pipeline.reporting.coefficient_figures import KINDS, UNITS, Coefficients, clip_bands
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary import name_channel
@@ -51,23 +51,24 @@ def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
 
 def draw_kind(shown: Coefficients, letter: str, beside: str) -> Panel:
     """A colour a coefficient, a marker a bearing; what is known is dashed."""
-    some, nodes = shown.choose(letter), shown.identified.nodes
+    some, nodes, (scale, measured_in) = shown.choose(letter), shown.identified.nodes, UNITS[letter]
     names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
     curves = []
     for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
         for b, node in enumerate(nodes):
             look = (colour, LOOKS[b % 5][1])
-            curves += shown.draw(b, name, f"{name}, node {node}", look, 1.0)
-    values = np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
+            curves += shown.draw(b, name, f"{name}, node {node}", look, scale)
+    values = scale * np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
     positive, several = values.min() > 0, values.max() > 5 * values.min()
-    # Noise of an axis that starts at its curves would look like a finding.
-    reach = (0.0, 1.15 * float(values.max())) if positive and not several else ()
     scaled = "log" if positive and several else "linear"
+    # Noise of an axis that starts at its curves would look like a finding.
+    usual = (0.0, 1.15 * float(values.max())) if positive and not several else ()
+    reach = clip_bands(curves, scaled == "log") or usual
     known = "" if some else " (known, not identified)"
     return Panel(
         f"{KINDS[letter]} of the bearings{known}{beside}",
         RPM,
-        [Axes(curves, f"{KINDS[letter]} ({unit(letter)})", scale=scaled, y_range=reach)],
+        [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled, y_range=reach)],
         legend=True,
     )
 

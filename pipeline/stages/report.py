@@ -32,8 +32,8 @@ def run(analysis: Analysis) -> StageOutput:
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     head = config.machine.report.model_dump(exclude={"paper"}) | {"subject": config.description, "made": made}
     written = [
-        write_page(work.folder / "report.html", title, head, sections),
-        write_pdf(work.folder / "report.pdf", title, head, sections, config.machine.report.paper),
+        write(work.folder / f"report.{kind}", title, head, sections, config.machine.report.paper)
+        for kind, write in (("html", write_page), ("pdf", write_pdf))
     ]
     without = "".join(f"\n  without {part}: {reason}" for part, reason in content.missing.items())
     say(f"{config.name}: report in '{written[0]}' and '{written[1]}'{without}")

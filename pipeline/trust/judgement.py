@@ -84,7 +84,7 @@ def judge(
     places = np.argwhere(~np.isnan(evidence.deviations.values).all(axis=1)).tolist()
     for (b, c), determined in zip(places, evidence.deviations.judge(), strict=True):
         reasons, checks = judge_coefficient(evidence, determined, b, c)
-        reasons = gravest([*common, *(_add_step(reason, gains, b, c) for reason in reasons)])
+        reasons = gravest([*common, *(_add_step(reason, gains, b, c, nodes[b]) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
     held_out = tuple(describe_held_out(kind, entry, 3) for kind, entry in _pick_held_out(evidence).items())
     return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt)
@@ -110,14 +110,17 @@ def refuse_without_deviations(
     return Judgement(tuple(nodes), tuple(verdicts), (reason,), as_felt=as_felt)
 
 
-def _add_step(reason: Reason, gains: Gains, b: int, c: int, worth: float = 1.3) -> Reason:
+def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: float = 1.3) -> Reason:
     """The run that would help most, where the reason has no step; one that helps less than ``worth`` is none."""
     if reason.next:
         return reason
     run, gain = gains.best(b, c)
     step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
     if gain >= worth:
-        step = f"Add a run with {describe_run(run)}: its deviation falls {gain:.2g} times."
+        step = (
+            f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls {gain:.2g} "
+            "times."
+        )
     return replace(reason, next=step)
 
 

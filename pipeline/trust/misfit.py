@@ -54,7 +54,8 @@ class Misfit:
         chance = (
             ""
             if self.probability is None
-            else f" (such deviations, or larger ones, have the probability {self.probability:.2g})"
+            else " (chance of such deviations, or larger ones: "
+            + (f"{self.probability:.2g})" if self.probability >= 1e-6 else "below 1e-6)")
         )
         if not self.explained():
             return f"the model and {noise} do not explain the readings{chance}"
@@ -80,7 +81,7 @@ class Misfit:
         noise = "the noise that was found" if self.estimated else "stated noise"
         return (
             f"Model and {noise} do not explain the readings: they lie {self.distance:.2g} times as far from the fit as "
-            "their noise.",
+            f"{'noise alone would have it at neighbouring speeds' if self.estimated else 'their noise'}.",
             "Check units, angles, weights, probes and rotor; state what may be a little wrong as "
             "identify.model_parameters; use model=bearings_network for coefficients with kinks.",
         )

@@ -17,6 +17,7 @@ from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.linearised import LinearisedFit, cross, linearise
+from pipeline.write_numbers import write_number
 
 Runs = Sequence[tuple[Excitation, ...]]
 
@@ -76,9 +77,11 @@ def describe_run(acting: Sequence[Excitation]) -> str:
     phrases = []
     for weight in acting:
         if weight.kind == "unbalance":
-            what = f"a weight of {1e6 * weight.magnitude:.3g} g mm at node {weight.node}"
+            what = f"a weight of {write_number(1e6 * weight.magnitude, digits=3)} g mm at node {weight.node}"
         else:
-            what = f"a {weight.whirl} rotating force of {weight.magnitude:.3g} N at node {weight.node}"
+            what = (
+                f"a {weight.whirl} rotating force of {write_number(weight.magnitude, digits=3)} N at node {weight.node}"
+            )
         if len(acting) > 1:
             what += f" at {np.degrees(weight.phase):.0f} deg"
         phrases.append(what)

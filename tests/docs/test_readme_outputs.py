@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 def read_outputs() -> dict[str, list[str]]:
     """Command -> the lines printed below it."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    section = text[text.index("## The study pipeline") : text.index("## Your machine")]
+    section = text[text.index("## The study pipeline") : text.index("## Against the paper")]
     outputs: dict[str, list[str]] = {}
     for line in re.findall(r"^    (.+)$", section, re.M):
         if line.startswith("  "):

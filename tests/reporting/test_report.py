@@ -116,6 +116,35 @@ def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: P
     assert panels[2]["traces"][-1]["x"][0] == pytest.approx(1.0)  # the place on an orbit is not doubled
 
 
+def measure_luminance(colour: str) -> float:
+    """Relative, of #rgb or #rrggbb (WCAG 2.1)."""
+    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+    parts = np.array([int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_the_page_can_be_read_and_used_by_keyboard(page: Path) -> None:
+    """Every text colour stands out of every ground (WCAG AA); choices have names, wide tables can be scrolled."""
+    text = page.read_text(encoding="utf-8")
+    style = text[text.index("<style>") : text.index("</style>")]
+    colours, grounds = (re.findall(rf"[ {{]{key}: (#\w+)", style) for key in ("color", "background"))
+    assert len(colours) > 5
+    assert len(grounds) > 4
+    ratios = [
+        (measure_luminance(ground) + 0.05) / (measure_luminance(colour) + 0.05)
+        for ground in grounds
+        for colour in colours
+    ]
+    assert min(ratios) >= 4.5
+    assert_says(
+        text, '<label>Amplitudes <select id="amplitude">', '<label>Phase <select id="phase">', '<html lang="en">'
+    )
+    assert text.count('<div class="scroll"') == text.count(
+        '<div class="scroll" tabindex="0" role="region" aria-label="'
+    )
+
+
 @pytest.mark.parametrize(("paper", "size"), [("A4", b"595.28 841.89"), ("Letter", b"612.00 792.00")])
 def test_a_pdf_has_the_same_sections(paper: str, size: bytes, tmp_path: Path) -> None:
     content = write_pdf(tmp_path / "report.pdf", "A & B", HEAD, _sections(), paper).read_bytes()

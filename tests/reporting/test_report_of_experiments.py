@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import shutil
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import assert_says
 
@@ -24,7 +26,13 @@ OTHERS = {
     "noisy_stiffness_residual": {"coefficients", "fit", "modes", "response"},  # a loss without deviations
     "impulses": {"coefficients", "fit", "modes", "balancing"},  # forces of their own frequencies, residual unbalance
     "compressor_journal_and_isotropic": {"machine", "measured", "diagnosis", "origin"},  # refused: no fit
+    "ball_bearing": {"coefficients", "fit", "modes", "response"},  # a resonance without damping
+    "hydrostatic_stiffness": {"coefficients", "fit", "modes", "response"},  # exact readings
+    "oil_temperatures": {"numbers", "coefficients", "fit", "modes"},  # three states, and one that nobody measured
+    "rk4": {"verdicts", "coefficients", "fit", "balancing"},  # measured; supports are not determined
+    "noisy_direct": {"coefficients", "fit", "modes", "response"},  # half of the coefficients are known
 }
+VERDICTS = ("good", "with care", "no")
 MOST_BYTES, MOST_PANELS, MOST_NUMBERS = 10_000_000, 100, 500_000
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -122,9 +130,72 @@ def test_every_kind_of_experiment_has_a_report(name: str, tmp_path: Path) -> Non
     assert sections >= OTHERS[name]
     assert ("coefficients" in sections) == (name != "compressor_journal_and_isotropic")
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert "coefficients" not in sections or list_contradictions(folder) == []
     if name == "impulses":  # opposite to the residual unbalance, as heavy
         assert re.search(r"node 2</td>\s*<td[^>]*>39\.93 ± 0\.10</td>\s*<td[^>]*>49\.95 ± 0\.15", text)
         assert re.search(r"39\.93 ± 0\.10</td>\s*<td[^>]*>229\.95 ± 0\.15", text)
+
+
+def read_rows(text: str) -> list[list[str]]:
+    """The cells of every table, without their marks."""
+    rows = re.findall(r"<tr>(.*?)</tr>", text, re.S)
+    return [[html.unescape(re.sub("<[^>]+>", "", one)) for one in re.findall(r"<td[^>]*>(.*?)</td>", row, re.S)]
+            for row in rows]  # fmt: skip
+
+
+def list_contradictions(folder: Path) -> list[str]:
+    """Pairs of statements of a report, and of its files, that do not agree; and numbers that nobody can read."""
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    text = text[text.index("<main>") : text.index("</main>")]
+    rows, said = read_rows(text), html.unescape(re.sub("<[^>]+>", " ", text))
+    files = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("verdicts", "training", "diagnosis")}
+    answer = " ".join(cell for row in rows[:5] for cell in row)
+    good = 0
+    wrong = re.findall(r"\d(?:\.\d+)?e\+\d+|(?<![\d.\w])-0(?![.\d])|\bnan\b", said)
+    table = {row[0].split(",")[0]: row[1:] for row in rows if len(row) > 1 and re.match(r"node \d+ [kc]\w\w, ", row[0])}
+    numbers = pd.read_csv(folder / "identified_coefficients.csv")
+    for entry in files["verdicts"]["verdicts"]:
+        name = f"node {entry['node']} {entry['coefficient']}"
+        shown = [row[1] for row in rows if len(row) > 2 and name in row[0].split(", ") and row[1] in VERDICTS]
+        why, stars = " ".join(entry["reasons"]), sum("*" in cell for cell in table[name])
+        good += entry["verdict"] == "good"
+        wrong += [f"{name}: {shown}, {entry['verdict']}"] if shown != [entry["verdict"]] else []
+        lost, width = f"do not determine {entry['coefficient']} at" in why, len(table[name])
+        wrong += [f"{name}: {why}, {stars} *"] if lost and stars < width / 2 else []
+        wrong += [f"{name}: good, {stars} *"] if entry["verdict"] == "good" and stars > 1 else []
+        known = re.search(rf"{entry['coefficient']} at node \d+ is known to ([\d.]+) %(?: only)? \(95 %\)", why)
+        if known and entry["coefficient"][1] == entry["coefficient"][2]:
+            at = numbers[numbers.bearing_node == entry["node"]]
+            band = 196 * (at[f"{entry['coefficient']}_std"] / at[entry["coefficient"]].abs()).median()
+            wrong += [f"{name}: {why}, {band}"] if float(known[1]) != pytest.approx(band, rel=0.06) else []
+    wrong += [] if f"{good} of {len(files['verdicts']['verdicts'])} coefficients are good" in answer else [answer]
+    before, after = files["diagnosis"]["determined"]["coefficients"], files["training"]["determined"]["coefficients"]
+    other = [
+        f"{name} at node {node} is {entry['verdict']} (expected: {before[node][name]['verdict']})"
+        for node, entries in after.items()
+        for name, entry in entries.items()
+        if entry["verdict"] != before[node][name]["verdict"]
+    ]
+    wrong += [one for one in other if one not in said]
+    if (ratio := re.search(r"the readings lie ([\d.]+) times as far off as their noise\.", said)) is not None:
+        probes = [float(row[2]) for row in rows if len(row) == 3 and re.fullmatch(r"[\d.]+", row[2]) and row[0] in said]
+        size = float(np.sqrt(np.mean(np.square(probes))))
+        wrong += [f"{ratio[0]}, {probes}"] if size != pytest.approx(float(ratio[1]), rel=0.3, abs=0.02) else []
+        explained = "do not explain the readings" not in said[said.index(ratio[0]) :].split("Readings beyond")[0]
+        wrong += ["good, not explained"] if not explained and "whole: good" in answer else []
+    if (critical := re.search(r"Critical speeds: (.*?), between", answer)) is not None:
+        listed = [row for row in rows if len(row) == 6 and row[0].isdigit() and "±" in row[1] + row[2] + "±"]
+        wrong += [critical[1]] if critical[1] != (", ".join(
+            f"{row[1]} rpm (logarithmic decrement {row[2]})" for row in listed) or "none") else []  # fmt: skip
+        stable = re.search(r"smallest logarithmic decrement ([\d.]+(?: ± [\d.]+)?) at", answer)
+        wrong += [] if stable is None or f"logarithmic decrement is {stable[1]}, at" in said else [stable[0]]
+        wrong += [] if ("stable at all speeds" in answer) == ("identified machine is stable" in said) else ["stable"]
+    return wrong
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_no_two_statements_contradict(name: str) -> None:
+    assert list_contradictions(ARTIFACTS / name) == []
 
 
 def test_a_reference_is_drawn_and_compared(tmp_path: Path) -> None:

@@ -52,8 +52,11 @@ _WIDTH = 186.0
 """mm of a page between its margins."""
 
 
-def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequence[Section]) -> Path:
-    """Write the page: ``head`` is the block below the ``title``, without its blank entries. Raises StorageError."""
+def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequence[Section], paper: str = "A4") -> Path:
+    """Write the page: ``head`` is the block below the ``title``, without its blank entries; it prints on ``paper``.
+
+    Raises StorageError.
+    """
     from jinja2 import Environment, FileSystemLoader
     from plotly.offline import get_plotlyjs
 
@@ -67,6 +70,7 @@ def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequen
         environment.get_template("page.html").render(
             title=title,
             head=head,
+            paper=paper,
             sections=sections,
             panels=panels,
             dashes=_DASHES,
@@ -274,17 +278,22 @@ def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
     if not table.rows:
         return
     pdf.ln(1)
-    if pdf.will_page_break(18):
+    if pdf.will_page_break(12 + 4.4 * min(len(table.rows), 12)):  # a short one stays together
         pdf.add_page()
     _write_text(pdf, typeset(table.caption), 9, 4.6, bold=True, align="L")
-    pdf.set_font("DejaVu", "", 6.5 if len(table.header) >= when_wide else 8)
+    pdf.set_font("DejaVu", "B", 6.5 if len(table.header) >= when_wide else 8)
     texts = [[typeset(cell) for cell in row] for row in (table.header, *table.rows)]
-    widths = [max(4.0, min(70.0, 1.0 + max(len(row[c]) for row in texts))) for c in range(len(table.header))]
+    columns = list(zip(*texts, strict=True))
+    whole = np.array([max(map(pdf.get_string_width, column)) for column in columns]) + 3.0
+    word = np.array([max(map(pdf.get_string_width, " ".join(column).split()), default=0.0) for column in columns]) + 3.0
+    share = (min(_WIDTH, whole.sum()) - word.sum()) / max(whole.sum() - word.sum(), 1.0)
+    widths = word + max(share, 0.0) * (whole - word)  # no narrower than a word
+    pdf.set_font("DejaVu", "", pdf.font_size_pt)
     pdf.set_draw_color(170)
     with pdf.table(
         texts,
-        col_widths=tuple(widths),
-        width=min(_WIDTH, 2.6 * sum(widths)),
+        col_widths=tuple(widths.tolist()),
+        width=min(_WIDTH, float(widths.sum())),
         align="LEFT",
         borders_layout=TableBordersLayout.HORIZONTAL_LINES,
         line_height=3.9,
@@ -301,6 +310,7 @@ def _place_figure(pdf: Any, figure: Figure, dots_an_inch: int = 110) -> None:
         legend = figure.legend() if first == 0 else []
         image, height = draw_image(figure.panels[first : first + columns], legend, columns, dots_an_inch)
         shown = _WIDTH * height / (2 * PANEL_WIDTH)
-        if pdf.will_page_break(shown):
+        caption = 10.0 if first + columns >= len(figure.panels) else 0.0  # mm: it stays below its last row
+        if pdf.will_page_break(shown + caption):
             pdf.add_page()
         pdf.image(image, w=_WIDTH, h=shown)

@@ -43,18 +43,19 @@ from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.trust.misfit import measure_misfit
-from pipeline.write_numbers import count, write_number
+from pipeline.write_numbers import write_number
 
 _MOST_TABLES, _ROWS = 4, 5
 
 
 def describe_coefficients(content: ReportContent, fit: FitContent) -> list[Block]:
     """Figures over speed and a table."""
+    tolerances = ", and the usual tolerances of rotor, weights and probes" * content.config.identify.usual_tolerances
     stated = (
-        "Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise, what "
-        "is fitted of the model, and the usual tolerances of rotor, weights and probes, as the verdicts do."
+        "Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise, the "
+        f"misfit, and what is fitted of the model{tolerances}, as the verdicts do."
     )
-    bare = "The loss of this fit states no deviations, so there are no bands: loss=response has them."
+    bare = "This fit weighs no noise and states no deviations, so there are no bands."
     text = (
         "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y. "
         + (stated if fit.coefficients.stated else bare)
@@ -129,10 +130,15 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
     for b, name, c in places:
         scale, unit = UNITS[name[0]]
         values, deviations = scale * shown.identified.values[b, at, c], scale * shown.deviation[b, at, c]
-        cells = [write_number(*pair, 5) for pair in zip(values.tolist(), deviations.tolist(), strict=True)]
+        lost = [" *" * bool(each) for each in shown.lost[b, at, c]]
+        cells = [
+            write_number(float(value), float(spread), 5) + star
+            for value, spread, star in zip(values, deviations, lost, strict=True)
+        ]
         rows.append([f"node {shown.identified.nodes[b]} {name}, {unit}", *cells])
     heads = ["at every speed"] if constant else [f"{write_number(rpm, digits=6)} rpm" for rpm in shown.rpm[at]]
     stated = " +- one standard deviation" if shown.stated else ""
+    stated += "; * not determined by these data" if any(shown.lost[b, at, c].any() for b, _, c in places) else ""
     return Table(f"Identified coefficients{f' at {label}' if label else ''}{stated}", ["coefficient", *heads], rows)
 
 
@@ -181,13 +187,18 @@ def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
 
 def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     """Runs and speeds that the fit did not see."""
-    rows = []
-    for what, entry in content.files.get("metrics", {}).get("held_out", {}).items():
-        errors = [write_number(entry[f"{whose}_error_percent"], digits=3) for whose in ("model", "rival")]
-        rows.append([what, errors[0], entry["rival"], errors[1]])
+    rows = [
+        [
+            what,
+            write_number(entry["model_error_percent"], digits=3),
+            entry["rival"],
+            write_number(entry["rival_error_percent"], digits=3),
+        ]
+        for what, entry in content.files.get("metrics", {}).get("held_out", {}).items()
+    ]
     held = [r for r in content.shown_runs if content.held_out(r)]
     if not rows and not held:
-        return ["No run and no speed was held out (training.holdout_runs, training.holdout_every)."]
+        return ["No run and no speed was held out of the fit."]
     return [
         "The fit did not see these readings. Beside the model stands what needs no bearing model at all.",
         Table(
@@ -209,13 +220,14 @@ def _write_quality(training: Mapping[str, Any]) -> str:
         return f"{outcome} {left} Its loss weighs no noise, so there is no chi-square."
     square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
     ratio = float(np.sqrt(square["value"] / square["expected"]))
+    levels = "noise and what the model may be off by" if "inconsistent_runs" in quality else "noise"
     explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
     explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
     return (
         f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
-        f"{ratio:.2f} times as far off as their noise. Neighbouring residuals correlate by "
+        f"{ratio:.2f} times as far off as their {levels}. Neighbouring residuals correlate by "
         f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
-        f"deviations). {explained} {count(quality['bad_points'], 'reading')} lie beyond 4 deviations."
+        f"deviations). {explained} Readings beyond 4 deviations: {quality['bad_points'] or 'none'}."
     )
 
 
@@ -234,7 +246,7 @@ def _list_probes(content: ReportContent, fit: FitContent) -> Table:
         rows.append([probe.name, write_number(float(percent), digits=3), over])
     return Table(
         "Fitted runs, root mean square over speeds and runs",
-        ["probe", "residual, % of the readings", "residual over its noise"],
+        ["probe", "residual, % of the readings", f"residual over its {_name_noise(content)}"],
         rows,
     ).without_blank()
 
@@ -253,14 +265,23 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
             above.append(mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40))
             above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
             below.append(Curve(rpm, size[points], "", **look))
-        unit = "residual / noise" if stated else "residual (%)"
+        unit = f"residual / {_name_noise(content)}" if stated else "residual (%)"
         most = reach(np.concatenate([curve.y for curve in below]))[1]
         below += mark_beyond(below, 0.0, most)
         rest = Axes(below, unit, y_range=(0.0, 1.08 * most))
         panels.append(Panel(probe.name, RPM, [Axes(above, AMPLITUDE, quantity="amplitude"), rest]))
-    share = "over the root mean square of its noise" if stated else "in percent of the root mean square reading"
+    share = (
+        f"over the root mean square of its {_name_noise(content)}"
+        if stated
+        else "in percent of the root mean square reading"
+    )
     caption = f"Above, amplitudes: markers measured, lines the model. Below, the size of the complex residual {share}."
     return Figure(name, caption, panels)
+
+
+def _name_noise(content: ReportContent) -> str:
+    """What residuals are compared with."""
+    return "drift" if content.measurement.drift else "noise"
 
 
 def _list_parameters(training: Mapping[str, Any]) -> list[Table]:

@@ -26,8 +26,9 @@
     });
     const layout = structuredClone(panel.layout);
     const place = document.getElementById(panel.id);
+    layout.height = panel.height * (document.body.classList.contains("paper") ? 0.8 : 1);
+    place.style.height = `${layout.height}px`;
     layout.width = place.clientWidth;
-    layout.height = panel.height;
     for (const name of Object.keys(layout)) if (/^[xy]axis/.test(name)) rename(layout[name], unit);
     if (traces.length && traces[0].meta === "xy") {
       for (const axis of [layout.xaxis, layout.yaxis]) axis.range = times(axis.range, place_factor);

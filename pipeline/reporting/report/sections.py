@@ -57,13 +57,12 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     """What was asked, the answer, what may be relied on and what to do next; and both kinds of coefficients, drawn."""
     config, shown, machine, values = content.config, fit.at_conditions, content.machine_verdict, []
     at = int(np.abs(shown.rpm - config.machine.prediction.speed_rpm).argmin())
-    for node, names, numbers, deviations in zip(
-        shown.identified.nodes, shown.unknowns, shown.identified.values[:, at], shown.deviation[:, at], strict=True
-    ):
+    for b, (node, names) in enumerate(zip(shown.identified.nodes, shown.unknowns, strict=True)):
         for name in names:
-            (scale, unit), c = UNITS[name[0]], COEFFICIENTS.index(name)
-            number = write_number(scale * float(numbers[c]), scale * float(deviations[c]))
-            values.append(f"{f'at node {node} ' * (name == names[0])}{name} {number} {unit}")
+            (scale, unit), place = UNITS[name[0]], (b, at, COEFFICIENTS.index(name))
+            number = write_number(scale * float(shown.identified.values[place]), scale * float(shown.deviation[place]))
+            said = " (not determined)" if shown.lost[place] else f" {number} {unit}"
+            values.append(f"{f'at node {node} ' * (name == names[0])}{name}{said}")
     known = ", with one standard deviation" if shown.stated else ""
     answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}."
     if fit.twin:
@@ -73,7 +72,7 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
     said = f"The machine as a whole: {machine['verdict']}. {machine['reason']}{felt}"
     steps = dict.fromkeys(
-        entry["next"] for entry in (machine, *content.files.get("verdicts", {}).get("verdicts", ())) if entry["next"]
+        entry["next"] for entry in (machine, *content.files.get("verdicts", {}).get("bearings", ())) if entry["next"]
     )
     rows: list[list[Cell]] = [
         ["What was asked?", f"{config.description}. Data: {describe_data(content, fit)}."],
@@ -89,10 +88,25 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
     judged = content.files.get("verdicts")
-    gaps = [Mark("warning", f"This report has no {name}: {reason}") for name, reason in content.missing.items()]
+    spelt = {"twin": "critical speeds, stability and prediction"}
+    gaps = [
+        Mark("warning", f"This report has no {spelt.get(name, name)}: {reason}")
+        for name, reason in content.missing.items()
+    ]
     if not judged:
         return [*gaps, "No verdicts were written: stage=verdict makes them."]
-    return [*gaps, _list_verdicts("Bearings", judged["bearings"]), _list_verdicts("Coefficients", judged["verdicts"])]
+    every = judged["verdicts"]
+    common = [reason for reason in every[0]["reasons"] if all(reason in entry["reasons"] for entry in every)]
+    rest = [
+        {**entry, "reasons": [reason for reason in entry["reasons"] if reason not in common] or ["The above."]}
+        for entry in every
+    ]
+    return [
+        *gaps,
+        _list_verdicts("Bearings", judged["bearings"]),
+        *(Mark("warning", f"Of all coefficients: {reason}") for reason in common),
+        _list_verdicts("Coefficients", rest),
+    ]
 
 
 def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:
@@ -102,8 +116,15 @@ def _list_verdicts(caption: str, entries: Sequence[Mapping[str, Any]]) -> Table:
         why = entry.get("reason") or " ".join(entry["reasons"])
         name = f"node {entry['node']} {entry.get('coefficient', '')}".strip()
         alike.setdefault((entry["verdict"], why, entry["next"] or ""), []).append(name)
+    first = {step: names[0] for (_, _, step), names in reversed(alike.items())}
     rows: list[list[Cell]] = [
-        [", ".join(names), Mark(verdict, verdict), why, step] for (verdict, why, step), names in alike.items()
+        [
+            ", ".join(names),
+            Mark(verdict, verdict),
+            why,
+            step if not step or first[step] == names[0] else f"as for {first[step]}",
+        ]
+        for (verdict, why, step), names in alike.items()
     ]
     return Table(caption, [caption.lower().removesuffix("s"), "verdict", "why", "next step"], rows).without_blank()
 
@@ -127,7 +148,7 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_diagnosis(content: ReportContent) -> list[Block]:
     """What the data determine before any fit: rank, condition, deviations."""
     diagnosis = content.files["diagnosis"]
-    noise, expected, rows, blocks = diagnosis["stated_noise"], diagnosis["determined"], [], []
+    noise, expected, rows = diagnosis["stated_noise"], diagnosis["determined"], []
     for node, bearing in diagnosis["bearings"].items():
         least, most = bearing["rank"]["least"], bearing["rank"]["most"]
         condition, worst = (write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max"))
@@ -141,24 +162,43 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
                 bearing["least_determined"],
             ]
         )
-        if bearing["reason"]:
-            blocks.append(Mark("warning", f"Bearing at node {node}: {bearing['reason']}"))
     return [
         (
-            f"At each speed by itself, at {100 * noise['multiplicative']:g} % and {1e6 * noise['additive']:g} µm noise "
-            "(root mean square, zero-to-peak). A fit over all speeds does better: its own deviations follow below."
+            f"Before the fit, at each speed by itself, at {100 * noise['multiplicative']:g} % and "
+            f"{1e6 * noise['additive']:g} µm noise (root mean square, zero-to-peak). A fit over all speeds does "
+            "better: what it was expected to reach follows below."
         ),
-        *blocks,
+        *(
+            Mark("warning", f"Bearing at node {node}: {bearing['reason']}")
+            for node, bearing in diagnosis["bearings"].items()
+            if bearing["reason"]
+        ),
         Table(
             "What the readings tell of each bearing",
-            ["bearing", "verdict", "rank", "condition number", "determined least"],
+            ["bearing", "verdict", "rank", "condition number", "combination known least"],
             rows,
         ),
         list_determined(
             f"Expected standard deviation, {expected['by']} (median over the speed)",
             read_determined(expected["coefficients"]),
         ),
+        *_compare_determined(content, expected["coefficients"]),
     ]
+
+
+def _compare_determined(content: ReportContent, expected: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What the fit found otherwise than it was expected; nothing where there is no fit, or nothing of the kind."""
+    after = content.fit.training["determined"]["coefficients"] if content.fit else {}
+    other = [
+        f"{entry.name} at node {entry.node} is {entry.verdict.value} (expected: {before})"
+        for entry in read_determined(after)
+        if (before := expected.get(str(entry.node), {}).get(entry.name, {}).get("verdict", "")) != entry.verdict.value
+    ]
+    said = (
+        "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
+        f"{'; '.join(other)}. What was found counts."
+    )
+    return [said] if other else []
 
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
@@ -166,8 +206,8 @@ def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
     uncertainty = fit.answer.uncertainty
     if uncertainty is None or not len(uncertainty.planes):
         return (
-            "No residual unbalance was identified: identify.unbalance_planes names no node. With planes there and "
-            "loss=response, this section has the correction weights."
+            "No residual unbalance was identified, so there are no correction weights: the configuration names no "
+            "planes of it."
         )
     weights, rows = content.source.weights(uncertainty.residual_unbalance), []
     for node, weight, deviation in zip(
@@ -209,6 +249,5 @@ def describe_conventions(content: ReportContent) -> Table:
         ],
     ]
     said = content.files.get("ingest", {}).get("conventions")
-    if said:
-        rows.append(["Recordings", f"Read as {said}."])
-    return Table("How the numbers are meant", ["subject", "meaning"], rows)
+    read = [["Recordings", f"Read as {said}."]] * bool(said)
+    return Table("How the numbers are meant", ["subject", "meaning"], rows + read)
