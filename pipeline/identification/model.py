@@ -128,25 +128,56 @@ class CoefficientModel:
 
         return fade(inputs)[0] if self.fades else torch.ones_like(inputs[:, :1])
 
+    def _backward(self, parameters: torch.Tensor, inputs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(..., S, U, Q - n_output) derivative of :meth:`raw` by all layers but the last, back-propagated; and
+        (..., S, n_in + 1) what the last one is fed by, and 1: times an identity of U, its derivative.
+        """
+        import torch
+
+        layers, (fed, slopes) = self.layers(parameters), self._feed(parameters, inputs)
+        fed = [torch.nn.functional.pad(values, (0, 1), value=1.0) for values in fed]
+        identity = torch.eye(len(self.unknowns), dtype=parameters.dtype)
+        # Of U outputs to a layer's sums.
+        sensitivity = identity.expand(*parameters.shape[:-1], len(inputs), *identity.shape)
+        blocks = [sensitivity[..., :0]]
+        for layer in range(len(layers) - 1, 0, -1):
+            weight = layers[layer][0][..., : slopes[layer - 1].shape[-1], :]  # the trend has nothing before it
+            sensitivity = (sensitivity @ weight.mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
+            blocks.insert(0, (fed[layer - 1][..., None, :, None] * sensitivity[..., None, :]).flatten(-2))
+        return torch.cat(blocks, dim=-1), fed[-1]
+
     def raw_jacobian(self, parameters: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(..., S, U, Q) derivative of :meth:`raw` by the parameters, back-propagated layer by layer.
+        """(..., S, U, Q) derivative of :meth:`raw` by the parameters.
 
         Ten times faster than nested vmap and jacrev, which a test compares it with.
         """
         import torch
 
-        identity = torch.eye(len(self.unknowns), dtype=parameters.dtype)
-        layers, (fed, slopes) = self.layers(parameters), self._feed(parameters, inputs)
-        blocks: list[torch.Tensor] = []
-        # Of U outputs to a layer's sums.
-        sensitivity = identity.expand(*parameters.shape[:-1], len(inputs), *identity.shape)
-        for layer in range(len(layers) - 1, -1, -1):
-            weights = (fed[layer][..., None, :, None] * sensitivity[..., None, :]).flatten(-2)
-            blocks = [weights, sensitivity, *blocks]
-            if layer:
-                weight = layers[layer][0][..., : slopes[layer - 1].shape[-1], :]  # the trend has nothing before it
-                sensitivity = (sensitivity @ weight.mT[..., None, :, :]) * slopes[layer - 1][..., None, :]
-        return torch.cat(blocks, dim=-1)
+        before, fed = self._backward(parameters, inputs)
+        last = fed[..., None, :, None] * torch.eye(len(self.unknowns), dtype=fed.dtype)[:, None]
+        return torch.cat([before, last.flatten(-2)], dim=-1)
+
+    def raw_normal(
+        self, parameters: torch.Tensor, inputs: torch.Tensor, gradient: torch.Tensor, curvature: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """J'g (..., Q) and J'CJ (..., Q, Q) of the Jacobian J, for a ``gradient`` g (..., S, U) and a symmetric
+        ``curvature`` C (..., S, U, U) by :meth:`raw`.
+
+        Most of J is the last layer's, which only repeats what that is fed by: with J never written down, a step takes a
+        third of the time.
+        """
+        import torch
+
+        before, fed = self._backward(parameters, inputs)
+        weighed, units, out = curvature @ before, fed.shape[-1], len(self.unknowns)
+        beside = (fed.mT @ weighed.flatten(-2)).unflatten(-1, weighed.shape[-2:]).flatten(-3, -2)  # of last by first
+        last = fed.new_empty(*parameters.shape[:-1], units, out, units, out)
+        for i, j in itertools.combinations_with_replacement(range(out), 2):
+            last[..., i, :, j] = last[..., j, :, i] = (fed * curvature[..., i, j, None]).mT @ fed
+        first = torch.cat([before.flatten(-3, -2).mT @ weighed.flatten(-3, -2), beside.mT], dim=-1)
+        second = torch.cat([beside, last.flatten(-2).flatten(-3, -2)], dim=-1)
+        slopes = (before.mT @ gradient[..., None])[..., 0].sum(-2), (fed.mT @ gradient).flatten(-2)
+        return torch.cat(slopes, dim=-1), torch.cat([first, second], dim=-2)
 
     def layers(self, parameters: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Weights (..., n_in, n_out) and biases (..., 1, n_out) of every layer: views of the flat vector."""
@@ -162,8 +193,7 @@ class CoefficientModel:
         """The parameters (..., Q) with an output layer of zeros."""
         import torch
 
-        kept = parameters[..., : -self.n_output]
-        return torch.nn.functional.pad(kept, (0, self.n_output))
+        return torch.nn.functional.pad(parameters[..., : -self.n_output], (0, self.n_output))
 
     def physical(
         self, raw: torch.Tensor, scale: torch.Tensor, base: torch.Tensor | float = 0.0

@@ -46,23 +46,24 @@ class ResidualProblem:
     rest: torch.Tensor  # (M,) the part of the squared loss that no coefficient can change
     scale: torch.Tensor  # (M, 1, U)
 
+    def _linearise(self, parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, M, S, U) rows, and (G, M, S, U, U) their derivative by the outputs of the model."""
+        coefficients, slope = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
+        return (self.matrix @ coefficients[..., None])[..., 0] + self.offset, self.matrix * slope[..., None, :]
+
     def rows(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows) from parameters (G, M, Q)."""
-        coefficients, _ = self.model.physical(self.model.raw(parameters, self.inputs), self.scale)
-        residual = (self.matrix @ coefficients[..., None])[..., 0] + self.offset  # (G, M, N, U)
-        return residual.reshape(len(parameters), len(self.scale), -1)
+        return self._linearise(parameters)[0].flatten(2)
 
     def jacobian(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M, rows, Q) derivative of :meth:`rows`."""
-        raw = self.model.raw(parameters, self.inputs)
-        slope = self.model.physical(raw, self.scale)[1][..., None]  # (G, M, N, U, 1)
-        derivative = self.model.raw_jacobian(parameters, self.inputs) * slope
-        return (self.matrix @ derivative).reshape(len(parameters), len(self.scale), -1, parameters.shape[-1])
+        return (self._linearise(parameters)[1] @ self.model.raw_jacobian(parameters, self.inputs)).flatten(2, 3)
 
     def normal(self, parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient J'r (G, M, Q) and J'J (G, M, Q, Q) of the rows."""
-        jacobian = self.jacobian(parameters)
-        return (jacobian.mT @ self.rows(parameters)[..., None])[..., 0], jacobian.mT @ jacobian
+        rows, slopes = self._linearise(parameters)
+        gradient = (slopes.mT @ rows[..., None])[..., 0]
+        return self.model.raw_normal(parameters, self.inputs, gradient, slopes.mT @ slopes)
 
     def loss(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, M) root mean square of the residual over speeds, runs and directions.

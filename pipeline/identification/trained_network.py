@@ -89,8 +89,7 @@ class TrainedNetworks(OutputError):
         (gradient, matrix), slopes = super().normal(weights), self._slopes(weights, self.nodes)
         by_networks = self.functions.rows @ slopes.movedim(1, 2).flatten(1, 2)
         slope = torch.nn.functional.pad(by_networks, (0, self.places.n_rest))
-        more = self.deviate(weights)[:, None] @ slope
-        return gradient + more, matrix + (slope.mT @ slope)[:, None]
+        return gradient + self.deviate(weights)[:, None] @ slope, matrix + (slope.mT @ slope)[:, None]
 
     def _slopes(self, weights: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(G, S, A, M Q) derivative of the active outputs by the networks' parameters: zero but for their own."""

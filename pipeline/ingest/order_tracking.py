@@ -58,8 +58,7 @@ def _make_columns(degrees: Sequence[int], x: np.ndarray, turning: np.ndarray) ->
     harmonic = np.ones_like(turning)
     for degree in degrees[1:]:
         harmonic = harmonic * turning
-        for component in (harmonic.real, harmonic.imag):
-            parts.append(component[:, None] * powers[:, : degree + 1])
+        parts += [component[:, None] * powers[:, : degree + 1] for component in (harmonic.real, harmonic.imag)]
     return np.concatenate(parts, axis=1)
 
 

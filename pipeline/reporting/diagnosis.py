@@ -226,8 +226,10 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
     shades = (("well determined", GREEN), ("weakly", YELLOW), ("not determined", ORANGE))
     for (verdict, colour), start, stop in zip(shades, edges, edges[1:], strict=False):
         middle, half = np.full(2, (start + stop) / 2), np.full(2, (stop - start) / 2)
-        curves.append(Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4))
-        curves.append(Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]))
+        curves += [
+            Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4),
+            Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]),
+        ]
     return curves
 
 

@@ -236,8 +236,7 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
     for name, number in found.items():
         where, _, what = name.partition(".")
         unit, factor, shift = _UNITS.get(what, (number["unit"].replace(" * ", " ").replace(" / ", "/"), 1.0, 0.0))
-        place = where if where == "oil" else f"node {where}"
-        label = f"{place} {what.replace('_', ' ')}"
+        label = (where if where == "oil" else f"node {where}") + f" {what.replace('_', ' ')}"
         if what == "viscosity" and reference is not None:
             label += f" at {write_condition('oil_temperature', reference)}"
         value, guess = (factor * number[key] + shift for key in ("value", "guess"))

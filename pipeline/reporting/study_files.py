@@ -219,8 +219,10 @@ def _draw_finalists(finalists: Sequence[Finalist]) -> Panel:
     for x, finalist in enumerate(finalists):
         losses, ends = finalist.losses[np.isfinite(finalist.losses)], np.array([x - 0.25, x + 0.25])
         aside, colour = x + np.linspace(-0.12, 0.12, len(losses)), BLUE if x else GREEN
-        curves.append(Curve(aside, losses, "", colour, "none", "o", full=True))
-        curves.append(Curve(ends, np.full(2, finalist.median), "median", GREY, width=2.6))
+        curves += [
+            Curve(aside, losses, "", colour, "none", "o", full=True),
+            Curve(ends, np.full(2, finalist.median), "median", GREY, width=2.6),
+        ]
     return Panel(
         "",
         "one dot a seed",
@@ -235,8 +237,10 @@ def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
     curves = []
     for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
         trials, low, high = 1 + np.arange(losses.shape[1]), losses.min(axis=0), losses.max(axis=0)
-        curves.append(Curve(trials, (low + high) / 2, "", colour, "none", band=(high - low) / 2))
-        curves.append(Curve(trials, np.median(losses, axis=0), name, colour, width=2.4))
+        curves += [
+            Curve(trials, (low + high) / 2, "", colour, "none", band=(high - low) / 2),
+            Curve(trials, np.median(losses, axis=0), name, colour, width=2.4),
+        ]
     return write_panel(path, Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True))
 
 

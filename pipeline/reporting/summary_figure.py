@@ -56,8 +56,7 @@ def draw_kind(shown: Coefficients, letter: str, beside: str) -> Panel:
     curves = []
     for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
         for b, node in enumerate(nodes):
-            look = (colour, LOOKS[b % 5][1])
-            curves += shown.draw(b, name, f"{name}, node {node}", look, scale)
+            curves += shown.draw(b, name, f"{name}, node {node}", (colour, LOOKS[b % 5][1]), scale)
     values = scale * np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
     positive, several = values.min() > 0, values.max() > 5 * values.min()
     scaled = "log" if positive and several else "linear"

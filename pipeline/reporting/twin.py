@@ -250,8 +250,7 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
     for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
         sizes, phases, errors = [], [], []
         for name, predicted in vibration.items():
-            q = predicted.displacement[:, d]
-            phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(q))), colour))
+            phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(predicted.displacement[:, d]))), colour))
             size, deviation = (values[:, d] for values in measure_sizes(predicted))
             sizes += [Curve(rpm, size, "", colour, "none", band=2 * deviation), _draw(name, rpm, size, colour)]
             if name == "modelled":

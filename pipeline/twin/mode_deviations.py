@@ -166,9 +166,10 @@ def derive_place(rotor: RotorModel, parameter: ModelParameter, values: np.ndarra
     b, nothing = parameter.place, np.zeros_like(rotor.mass)
     node, shift = rotor.bearing_nodes[b], rotor.bearing_shifts[b] if rotor.bearing_shifts else 0.0
     rows, slopes = (shaft_rows(rotor, node, shift, slope) for slope in (False, True))
-    made = []
-    for block in values[b].reshape(2, 2, 2):
-        made.append(parameter.deviation * (slopes.T @ block @ rows + rows.T @ block @ slopes))
+    made = [
+        parameter.deviation * (slopes.T @ block @ rows + rows.T @ block @ slopes)
+        for block in values[b].reshape(2, 2, 2)
+    ]
     return replace(rotor, mass=nothing, gyroscopic=nothing, stiffness=made[0], damping=made[1])
 
 

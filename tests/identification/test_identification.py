@@ -63,8 +63,14 @@ def test_problem_jacobian_equals_autograd(
     wanted = torch.autograd.functional.jacobian(prepared.problem.rows, parameters)  # (1, M, rows, 1, M, P)
     for m in range(shape[1]):
         torch.testing.assert_close(found[0, m], wanted[0, m, :, 0, m], rtol=1e-9, atol=1e-11)
-        others = [other for other in range(shape[1]) if other != m]
-        assert not wanted[0, m, :, 0, others].any()  # a bearing's rows know nothing of the other's parameters
+        # A bearing's rows know nothing of the other's parameters.
+        assert not wanted[0, m, :, 0, [other for other in range(shape[1]) if other != m]].any()
+    torch.testing.assert_close(
+        prepared.problem.normal(parameters),
+        (torch.einsum("gmrq,gmr->gmq", found, prepared.problem.rows(parameters)), found.mT @ found),
+        rtol=1e-9,
+        atol=1e-11,
+    )
 
 
 @given(raw=st.floats(-5, 20), size=st.floats(1e2, 1e9), base=st.floats(-1e9, 1e9))

@@ -61,7 +61,9 @@ def test_the_screen_names_states_numbers_and_what_lies_outside(folder: Path) -> 
     lines = (folder / "summary.txt").read_text().splitlines()
     assert len(lines) <= 40
     text = " ".join(" ".join(lines).split())
-    assert_says(text, "45 degC", "65 degC", "numbers ", "node 8 radial clearance", " um", "mPa s", "1620 rpm at 70 degC")
+    assert_says(
+        text, "45 degC", "65 degC", "numbers ", "node 8 radial clearance", " um", "mPa s", "1620 rpm at 70 degC"
+    )
     assert_says(text, "oil temperature: 70 degC lies outside the measured")
 
 

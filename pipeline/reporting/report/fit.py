@@ -262,8 +262,10 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
             size = np.abs(measured - predicted) / (noise if stated else usual)
             look, rpm = dict(traced), content.rpm[points]
             run = look.pop("label")
-            above.append(mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40))
-            above.append(Curve(rpm, np.abs(predicted[points]), f"{run} model", **look))
+            above += [
+                mark(rpm, np.abs(measured[points]), f"{run} measured", look["colour"], count=40),
+                Curve(rpm, np.abs(predicted[points]), f"{run} model", **look),
+            ]
             below.append(Curve(rpm, size[points], "", **look))
         unit = f"residual / {_name_noise(content)}" if stated else "residual (%)"
         most = reach(np.concatenate([curve.y for curve in below]))[1]
