@@ -31,7 +31,7 @@ STATEMENTS = {
     "evaluation": 226,
     "twin": 482,
     "balance": 653,
-    "trust": 685,
+    "trust": 682,
     "export": 201,
     "methods": 577,
     "comparison": 147,
@@ -44,10 +44,10 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (17941, 14500),
-    "files": (267, 250),
+    "statements of pipeline/": (17938, 14500),
+    "files": (265, 250),
     "classes": (323, 260),
-    "is None, is not None": (343, 420),
+    "is None, is not None": (341, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (122, 200),
