@@ -45,25 +45,21 @@ class LinearisedFit:
         """b, (Z,)."""
         return cross(self.seen, self.residual[..., None])[:, 0]
 
-    def solve(self, right: np.ndarray, without: np.ndarray | None = None) -> np.ndarray:
-        """``N^-1 right`` of all fitted readings, or of those ``without`` (S, P, R) mask."""
-        return np.asarray(np.linalg.solve(self._information(without), right))
-
     def suffices_without(self, mask: np.ndarray, least: float = 1e-12) -> bool:
         """Whether the other readings and the priors determine every weight: no combination of weights, each over what
         all readings tell of it, is below ``least``, the rounding of a normal matrix.
         """
         size = np.sqrt(np.diag(self.normal))
-        return bool(np.linalg.eigvalsh(self._information(mask) / np.outer(size, size))[0] > least)
+        return bool(np.linalg.eigvalsh(self._information_without(mask) / np.outer(size, size))[0] > least)
 
     def leave_out(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(B, S, 8) how the coefficients move without the readings of ``mask``, and the deviation that noise explains.
 
         The variance of that move is what the variance grows by (Hausman 1978).
         """
-        step = self._without(mask) - self.solve(self.right)
-        spread = np.linalg.inv(self._information(mask)) - np.linalg.inv(self._information(None))
-        return self.coefficients @ step, self.deviate(spread)
+        weights, covariance = self._fit_without(mask)
+        moves = self.coefficients @ (weights - np.linalg.solve(self.normal, self.right))
+        return moves, self.deviate(covariance - np.linalg.inv(self.normal))
 
     def deviate(self, covariance: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations of the coefficients, from a ``covariance`` (Z, Z) of the weights."""
@@ -72,22 +68,21 @@ class LinearisedFit:
 
     def predict_without(self, mask: np.ndarray) -> float:
         """Mean square error of the readings of ``mask``, predicted from the others, over what noise explains."""
-        step = self._without(mask)
+        weights, covariance = self._fit_without(mask)
         chosen = self.by_weight[mask]
-        left = self.residual[mask] - chosen @ step
-        spread = np.linalg.inv(self._information(mask))
-        expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), spread, chosen, optimize=True).real
+        left = self.residual[mask] - chosen @ weights
+        expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), covariance, chosen, optimize=True).real
         return float(np.mean(np.abs(left) ** 2 / expected))
 
-    def _without(self, mask: np.ndarray) -> np.ndarray:
-        """(Z,) the weights' step of a fit without the readings of ``mask``."""
-        left_out = mask[..., None] * self.seen
-        return self.solve(self.right - cross(left_out, self.residual[..., None])[:, 0], mask)
+    def _fit_without(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(Z,) the weights' step of a fit without the readings of ``mask``, and their covariance (Z, Z)."""
+        information = self._information_without(mask)
+        right = self.right - cross(mask[..., None] * self.seen, self.residual[..., None])[:, 0]
+        return np.linalg.solve(information, right), np.linalg.inv(information)
 
-    def _information(self, without: np.ndarray | None) -> np.ndarray:
-        if without is None:
-            return self.normal
-        left_out = without[..., None] * self.seen
+    def _information_without(self, mask: np.ndarray) -> np.ndarray:
+        """(Z, Z) of the other fitted readings and the priors."""
+        left_out = mask[..., None] * self.seen
         return self.normal - cross(left_out, left_out)
 
 

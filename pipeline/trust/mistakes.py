@@ -9,7 +9,7 @@ Legend: S speeds, P channels, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,7 @@ import numpy as np
 from pipeline.data.sensors import project
 from pipeline.problem.measurement import Measurement
 from pipeline.trust.linearised import name_channels
-from pipeline.trust.mistake import Mistake
-from pipeline.trust.mistakes_of_probes import of_all_readings, of_probes
-from pipeline.trust.mistakes_of_runs import of_rest, of_runs, of_weights
+from pipeline.trust.mistake import Mistake, list_mistakes
 from pipeline.trust.quick_fit import QuickFit, quick_fit
 
 WORTH_TRYING = 2.0
@@ -110,14 +108,6 @@ def _order(trial: tuple[Mistake, QuickFit], frees: float = 1.2) -> float:
     """A mistake without a free number is named before one with, where they leave about as much."""
     mistake, fit = trial
     return fit.mean_square * (frees if mistake.free else 1.0)
-
-
-def list_mistakes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
-    """Every mistake that is tried; ``names`` are the channels'."""
-    yield from of_all_readings(measurement)
-    for mistakes in (of_probes(measurement, names), of_runs(measurement), of_weights(measurement)):
-        yield from (replace(mistake, single=True) for mistake in mistakes)
-    yield from of_rest(measurement)
 
 
 class _Trial:

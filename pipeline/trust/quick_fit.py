@@ -30,6 +30,14 @@ class Free:
     shares: np.ndarray  # (S, P, R, E) of the predicted readings
     shown: np.ndarray | float = 0.0  # (S, P, R, E) m, whatever is predicted
 
+    def __len__(self) -> int:
+        """E."""
+        return int(self.shares.shape[-1])
+
+
+NOTHING_FREE = Free(np.zeros((1, 1, 1, 0)))
+"""Of an explanation that leaves no number free."""
+
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
@@ -44,7 +52,7 @@ def quick_fit(
     measurement: Measurement,
     starts: Sequence[np.ndarray],
     terms: int,
-    free: Free | None = None,
+    free: Free = NOTHING_FREE,
     rounds: int = 20,
     still: float = 1e-3,
 ) -> QuickFit:
@@ -55,7 +63,7 @@ def quick_fit(
     Args:
         starts: (M, S, U) unknowns to begin with as well, N/m and N s/m.
         terms: K; 1 for constants.
-        free: what else is sought; nothing where it is not given.
+        free: what else is sought.
     """
     from scipy.optimize import least_squares
 
@@ -65,7 +73,6 @@ def quick_fit(
     with contextlib.suppress(np.linalg.LinAlgError, IdentifiabilityError):
         linear = linear_start(measurement, members, scales[0])
         begins += (linear,) if linear is not None and np.isfinite(linear).all() else ()
-    free = Free(np.zeros((*measurement.dataset.displacement.shape, 0))) if free is None else free
     problem = _Problem(measurement, scales[0], functions, free)
     begin = min(
         map(problem.weights_of, begins),
@@ -73,7 +80,7 @@ def quick_fit(
     )
     end = least_squares(problem.rows, begin, problem.jacobian, x_scale="jac", ftol=still, max_nfev=rounds)
     square, count = 2 * end.cost, measurement.dataset.displacement.size
-    return QuickFit(square / count, problem.values(end.x), end.x[len(end.x) - problem.n_free :])
+    return QuickFit(square / count, problem.values(end.x), end.x[len(end.x) - len(free) :])
 
 
 def _within_reason(measurement: Measurement, start: np.ndarray, ran_away: float = 1e4) -> tuple[np.ndarray, np.ndarray]:
@@ -105,17 +112,16 @@ class _Problem:
         active = measurement.unknowns.active
         self.scale = np.array([scale[m, u] for m, u in active])
         self.positive = np.array([is_direct(measurement.unknowns.names[u]) for _, u in active])
-        self.n_free = free.shares.shape[-1]
 
     def weights_of(self, values: np.ndarray) -> np.ndarray:
         """(A K + E,) nearest to unknowns (M, S, U)."""
         raw = outputs_of(self.measurement.unknowns.to_active(values), self.scale, self.positive, self.least)
         solution = np.linalg.lstsq(self.functions, raw, rcond=None)[0].T
-        return np.concatenate([solution.ravel(), np.zeros(self.n_free)])
+        return np.concatenate([solution.ravel(), np.zeros(len(self.free))])
 
     def _outputs(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, A) unknowns and their slope by the raw outputs."""
-        count = len(weights) - self.n_free
+        count = len(weights) - len(self.free)
         raw = self.functions @ weights[:count].reshape(len(self.scale), -1).T
         held = np.where(self.positive, np.clip(raw, -self.widest, self.widest), raw)
         return scale_outputs(held, self.scale, self.positive)
@@ -126,18 +132,18 @@ class _Problem:
 
     def rows(self, weights: np.ndarray) -> np.ndarray:
         """(2 S P R,) predicted less measured readings."""
-        data, numbers = self.measurement, weights[len(weights) - self.n_free :]
+        data, numbers = self.measurement, weights[len(weights) - len(self.free) :]
         predicted = data.response.predict(data.table(self.values(weights)))
         expected = predicted + (predicted[..., None] * self.free.shares + self.free.shown) @ numbers
         return stack_rows((expected - data.dataset.displacement) / data.deviation).ravel()
 
     def jacobian(self, weights: np.ndarray) -> np.ndarray:
         """(2 S P R, A K + E)."""
-        data, numbers = self.measurement, weights[len(weights) - self.n_free :]
+        data, numbers = self.measurement, weights[len(weights) - len(self.free) :]
         bearings, slope = data.table(self.values(weights)), self._outputs(weights)[1]
         gain = 1 + self.free.shares @ numbers
         by_unknown = ReadingSlopes(data, bearings).by_unknown * slope[:, None, None] * gain[..., None]
-        by_weight = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*gain.shape, -1)
+        by_weight = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*by_unknown.shape[:3], -1)
         by_number = data.response.predict(bearings)[..., None] * self.free.shares + self.free.shown
         columns = np.concatenate([by_weight, by_number / data.deviation[..., None]], axis=-1)
         return stack_rows(columns).reshape(-1, len(weights))
