@@ -260,10 +260,11 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
     """Channels are called 1, 2, ..; full scale is one."""
     from scipy.io import wavfile
 
-    with warnings.catch_warnings():
+    # Opened here: of a damaged file SciPy leaves its own open.
+    with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of parts that hold no samples
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
-        rate, samples = wavfile.read(path)
+        rate, samples = wavfile.read(file)
         every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
         require_names(path, "channel", names, every)
         middle, full = 0.0, 1.0
