@@ -25,7 +25,7 @@ STATEMENTS = {
     "rotor": 693,
     "data": 1114,
     "sweep": 249,
-    "ingest": 1457,
+    "ingest": 1460,
     "problem": 1696,
     "identification": 2644,
     "evaluation": 226,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18097, 14500),
+    "statements of pipeline/": (18100, 14500),
     "files": (265, 250),
     "classes": (324, 260),
     "is None, is not None": (341, 420),

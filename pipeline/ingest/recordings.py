@@ -244,7 +244,10 @@ def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Chann
         stored = [name.removesuffix(".npy") for name in file.namelist()]
         wanted = (*names, *([rate] if rate else []))
         require_names(path, "array", wanted, stored)
-        every = {name: np.lib.format.read_array(file.open(f"{name}.npy")) for name in wanted}
+        every = {}
+        for name in wanted:
+            with file.open(f"{name}.npy") as array:
+                every[name] = np.lib.format.read_array(array)
         return {name: every[name] for name in names}, float(every[rate].reshape(-1)[0]) if rate else None
 
 
