@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1460,
     "problem": 1696,
-    "identification": 2644,
+    "identification": 2660,
     "evaluation": 226,
     "twin": 480,
     "balance": 653,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18100, 14500),
+    "statements of pipeline/": (18116, 14500),
     "files": (265, 250),
     "classes": (324, 260),
     "is None, is not None": (341, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12891, 13000),
+    "statements of tests/": (12903, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),

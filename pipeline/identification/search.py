@@ -47,6 +47,17 @@ class Choices:
         index = list(at)
         return Choices(tuple(self.priors[i] for i in index), self.mean[index], self.root[index])
 
+    def join(self, more: Choices) -> Choices:
+        """These, and then ``more`` of them."""
+        import torch
+
+        return Choices(self.priors + more.priors, torch.cat([self.mean, more.mean]), torch.cat([self.root, more.root]))
+
+    def beside(self, families: tuple[str, ...]) -> Choices:
+        """Those that differ from ``families`` at one bearing."""
+        differ = [sum(a != b for a, b in zip(others, families, strict=True)) for others in self.families]
+        return self.select([i for i, count in enumerate(differ) if count == 1])
+
     @property
     def families(self) -> tuple[tuple[str, ...], ...]:
         """Names of the families."""
@@ -215,7 +226,7 @@ def search(
     problem, whitened, y = _settle(problem, whitened, lifted, kept, most_exact)
     if explained < coarse:  # the simpler problem could not tell which choices to drop
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
-    whitened, y, evidence = _rank(whitened, y, kept)
+    problem, whitened, y, evidence = look_beside(problem, whitened, choices, y, kept, most_exact)
     if not problem.readings.tied:
         best = replace(whitened.problem, functions=whitened.choices.functions())
         correlation, _ = estimate_correlation(best, whitened.weights(y)[:1])
@@ -246,7 +257,7 @@ def _settle(
 
 
 def _take_up(whitened: Whitened, choices: Choices, y: torch.Tensor) -> tuple[Whitened, torch.Tensor]:
-    """Those that are left, and all ``choices``, each from where it is nearest to the best of them."""
+    """Those that are left, and then all ``choices``, each from where it is nearest to the best of them."""
     import torch
 
     n_weights, identity = whitened.problem.places.n_coefficients, torch.eye(choices.root.shape[-1], dtype=y.dtype)
@@ -254,9 +265,33 @@ def _take_up(whitened: Whitened, choices: Choices, y: torch.Tensor) -> tuple[Whi
     off = best[:, 0, :n_weights, None] - choices.mean[..., None]
     nearest = torch.linalg.solve(choices.root.mT @ choices.root + 0.01 * identity, choices.root.mT @ off)
     starts = torch.cat([nearest.mT, best[..., n_weights:].expand(len(off), -1, -1)], dim=-1)
-    left = [choices.families.index(families) for families in whitened.choices.families]
-    every = replace(whitened, choices=choices.select([*left, *range(len(off))]))
-    return every, every.minimise(torch.cat([y, starts]), 1e-3, steps=12)
+    every = replace(whitened, choices=whitened.choices.join(choices))
+    return every, torch.cat([y, replace(whitened, choices=choices).minimise(starts, 1e-3, steps=12)])
+
+
+def look_beside(
+    problem: OutputError,
+    whitened: Whitened,
+    choices: Choices,
+    y: torch.Tensor,
+    kept: int,
+    most_exact: float,
+    turns: int = 5,
+) -> tuple[OutputError, Whitened, torch.Tensor, torch.Tensor]:
+    """The ``problem``, the likeliest minima and their evidence, once no choice is likelier that differs from the best
+    at one bearing: the simpler problem may have dropped it.
+    """
+    whitened, y, evidence = _rank(whitened, y, kept)
+    for _ in range(turns):
+        best = whitened.choices.families[0]
+        if not (beside := choices.beside(best)).families:
+            break
+        whitened, y, evidence = _rank(*_take_up(whitened, beside, y), kept)
+        if whitened.choices.families[0] == best:
+            break
+        problem, whitened, y = _settle(problem, whitened, y, kept, most_exact)
+        whitened, y, evidence = _rank(whitened, y, kept)
+    return problem, whitened, y, evidence
 
 
 def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:

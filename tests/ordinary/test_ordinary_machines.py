@@ -21,7 +21,7 @@ from pipeline.identification.fit import fit_sensors
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.output_error_start import nodes_basis
 from pipeline.identification.problem import output_error
-from pipeline.identification.search import Whitened
+from pipeline.identification.search import Whitened, list_choices, look_beside
 from pipeline.identification.storage import load_model, save_model
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import load_uncertainty, save_uncertainty
@@ -226,3 +226,18 @@ def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rn
         correlation, size = estimate_correlation(again, at_nodes.weights)
         assert least <= correlation <= most
         assert size == pytest.approx(1.3 if correlation else 1.0, rel=0.25)
+
+
+def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorFit) -> None:
+    """Where the search kept a choice alone that is wrong at one bearing, it finds back what it had found."""
+    searched, model = at_nodes.start.searched, at_nodes.problem.model
+    assert searched is not None
+    families = ("plain", "lobed", "tilting_pad", "rolling", "unknown")
+    every = list_choices(searched.problem.measurement, families, np.geomspace(*model.ranges[0], model.n_functions))
+    best = searched.choices.families[0]
+    for i in (0, -1):
+        wrong = Whitened(searched.problem, every.beside(best).select([i]))
+        start = wrong.minimise(torch.zeros(1, 1, wrong.size, dtype=torch.float64), 1e-3)
+        _, found, _, evidence = look_beside(searched.problem, wrong, every, start, 6, 10.0)
+        assert found.choices.families[0] == best
+        assert evidence[0] > wrong.evidence(start)[0]
