@@ -106,7 +106,7 @@ def _find_beside(
 
 
 def _recognize_records(path: Path, folder: Path) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
-    """Of a universal file: its records by their text, or by node and direction where runs share the file."""
+    """Records of a universal file by their text, or by node and direction where runs share the file."""
     records, labels, timed = list_records(path)
     runs: dict[str, tuple[Path, str | None]] = {label: (path, label) for label in labels}
     runs = runs or _find_beside(path, records, lambda other: list_records(other)[0])

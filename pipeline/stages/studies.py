@@ -77,6 +77,7 @@ def record_on_the_way(config: Config) -> Callable[[Any], None]:
     started, handed = time.time(), set[int]()
 
     def hand(study: Any) -> None:
+        """The trials that ended since the last time."""
         trials = [trial for trial in summarize(study) if trial.ended >= started and trial.number not in handed]
         handed.update(trial.number for trial in trials)
         record = StageRecord(

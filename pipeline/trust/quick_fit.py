@@ -36,7 +36,7 @@ class Free:
 
 
 NOTHING_FREE = Free(np.zeros((1, 1, 1, 0)))
-"""Of an explanation that leaves no number free."""
+"""What an explanation without free numbers has."""
 
 
 @dataclass(frozen=True, eq=False)

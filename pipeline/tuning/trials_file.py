@@ -101,6 +101,7 @@ def _add_at_once(study: optuna.Study, trials: Sequence[FrozenTrial], storage: An
     values, steps = models.TrialValueModel, models.TrialIntermediateValueModel
 
     def store(number: int, trial: FrozenTrial) -> models.TrialModel:
+        """A trial as rows of Optuna's tables; a private matter of theirs, which constraints.txt pins."""
         final = [(k, *values.value_to_stored_repr(value)) for k, value in enumerate(trial.values or ())]
         curve = [(k, *steps.intermediate_value_to_stored_repr(v)) for k, v in trial.intermediate_values.items()]
         return models.TrialModel(
