@@ -9,11 +9,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.config.schema import Config
 from pipeline.reporting.console import warn
 from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord, track
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def use_threads(config: Config) -> None:
@@ -32,6 +36,7 @@ class StageOutput:
     files: Sequence[Path] = ()
     history: Sequence[Mapping[str, float]] = ()
     model: Path | None = None
+    example: tuple[pd.DataFrame, ...] = ()
     children: Sequence[StageRecord] = ()
     exit_code: int = 0
 
@@ -67,6 +72,7 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
         history=output.history,
         files=[path for path in output.files if path.exists()],
         model=output.model,
+        example=output.example,
         children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )

@@ -31,6 +31,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.before_fit import describe_noise, say_beforehand
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
+from pipeline.tracking.model import exemplify
 from pipeline.trust.misfit import measure_misfit
 
 
@@ -54,6 +55,7 @@ def run(analysis: Analysis) -> StageOutput:
         files=files,
         history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in fitted.history],
         model=analysis.files.folder,
+        example=exemplify(fitted.model) if config.tracking.enabled else (),
         exit_code=130 if fitted.outcome is Outcome.INTERRUPTED else 0,
     )
 

@@ -16,9 +16,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import without_password
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NAME_LENGTH = 250
 PARAMETER_LENGTH = 6000
@@ -44,6 +47,7 @@ class StageRecord:
         texts among them are left out, for MLflow's metrics are numbers
     :param files: images go to the artifact folder ``figures``, other files to ``files``
     :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
+    :param example: a table of the model's inputs, and its answer to them
     :param children: logged as runs below this one: parameters, tags, metrics and history of each
     :param status: ``FINISHED``, ``KILLED`` or ``FAILED``; ``RUNNING`` with children alone, before the stage ends
     """
@@ -61,6 +65,7 @@ class StageRecord:
     history: Sequence[Mapping[str, float | str]] = ()
     files: Sequence[Path] = ()
     model: Path | None = None
+    example: tuple[pd.DataFrame, ...] = ()
     children: Sequence[StageRecord] = ()
     status: str = "FINISHED"
 

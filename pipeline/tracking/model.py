@@ -14,7 +14,6 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
 from pipeline.data.coefficient_files import tabulate_coefficients
 from pipeline.data.operating import list_columns
-from pipeline.identification.storage import load_model
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tracking.entries import StageRecord, flatten_parameters
 from pipeline.units import RAD_S_PER_RPM
@@ -37,15 +36,12 @@ def log_model(client: MlflowClient, run: Run, record: StageRecord) -> str:
 
     :raises Exception: what MLflow or reading the model raises; the logged model is then marked as failed
     """
-    import pandas as pd
     from mlflow.entities import LoggedModelOutput, LoggedModelStatus
     from mlflow.models import infer_signature
 
     folder = record.model or Path()
     artifacts = {"weights": folder / "model.safetensors", "description": folder / "model.json"}
-    identified = load_model(folder)
-    example = pd.DataFrame({SPEED: np.array([1500.0])} | list_columns(_exemplify(identified)))
-    answer = tabulate_identified(identified, example[SPEED].to_numpy(), read_conditions(identified, example))
+    example, answer = record.example
     logged = client.create_logged_model(
         run.info.experiment_id,
         name="model",
@@ -72,15 +68,20 @@ def list_conditions(identified: IdentifiedModel) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in (*inputs, *laws) if name != "speed"))
 
 
-def _exemplify(identified: IdentifiedModel) -> dict[str, np.ndarray]:
-    """The middle (1,) of each condition that the model is a function of, SI; a usual value for a law's."""
+def exemplify(identified: IdentifiedModel) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """A question to the model and its answer: the middle of each condition that it is a function of, and a usual value
+    for a law's."""
+    import pandas as pd
+
     model, usual = identified.model, {"oil_temperature": 323.15, "load": 1000.0}
-    return {
+    conditions = {
         name: np.array(
             [np.mean(model.ranges[model.inputs.index(name)])] if name in model.inputs else [usual.get(name, 1.0)]
         )
         for name in list_conditions(identified)
     }
+    example = pd.DataFrame({SPEED: np.array([1500.0])} | list_columns(conditions))
+    return example, tabulate_identified(identified, example[SPEED].to_numpy(), conditions)
 
 
 def read_conditions(identified: IdentifiedModel, table: pd.DataFrame) -> dict[str, np.ndarray]:

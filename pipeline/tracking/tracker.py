@@ -14,12 +14,12 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Client, Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from pipeline.errors import StorageError, without_password
 from pipeline.processes import delay_interrupt, let_interrupt_through
@@ -40,14 +40,16 @@ from pipeline.tracking.model import log_model
 from pipeline.tracking.store import open_experiment, quiet_mlflow
 
 if TYPE_CHECKING:
-    from multiprocessing.context import SpawnProcess
-
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
     from pipeline.config.schema import TrackingConfig
 
-_running: list[tuple[SpawnProcess, Connection]] = []
+SHARED = "PIPELINE_RECORDER"
+"""Where the recorder listens that the commands of :mod:`pipeline.tracking.__main__` share."""
+
+_running: list[tuple[int, Connection]] = []
+"""The process beside, and the way to it."""
 _begun: dict[tuple[str, str], tuple[MlflowClient, Run, set[str]]] = {}
 """By experiment and stage: the run of a stage that still runs, and which of its children it has."""
 
@@ -58,31 +60,57 @@ def recorder_beside(enabled: bool) -> Iterator[None]:
     if not enabled:
         yield
         return
+    with ExitStack() as ends:
+        _running.append(_ask_shared(ends) or _start(ends))
+        ends.callback(_running.pop)
+        yield
+
+
+def _ask_shared(ends: ExitStack) -> tuple[int, Connection] | None:
+    """A process that has imported MLflow already, if commands share it."""
+    with suppress(KeyError, OSError, EOFError):
+        near = ends.enter_context(Client(os.environ[SHARED], "AF_UNIX"))
+        near.send((os.getcwd(), dict(os.environ)))
+        return near.recv(), near
+    return None
+
+
+def _start(ends: ExitStack) -> tuple[int, Connection]:
     context = get_context("spawn")
     near, far = context.Pipe()
-    process = context.Process(target=_serve, args=(far,), daemon=True)
+    process = context.Process(target=_import_and_serve, args=(far,), daemon=True)
     with delay_interrupt():
         process.start()
     far.close()
-    _running.append((process, near))
-    try:
-        yield
-    finally:
-        _running.pop()
-        near.close()
-        process.join()
+    ends.callback(process.join)
+    ends.callback(near.close)  # first: it ends then
+    return process.pid or 0, near
 
 
-def _serve(connection: Connection) -> None:
-    """Log what comes until the other end is closed."""
-    os.setsid()  # Ctrl-C is for the stage, whose record then says so
+def _import_and_serve(connection: Connection) -> None:
+    become_silent()
+    import_mlflow()
+    serve(connection)
+
+
+def become_silent() -> None:
+    """Ctrl-C is for the stage, whose record then says so; what MLflow prints is for nobody."""
+    os.setsid()
     let_interrupt_through()
     for stream in (sys.stdout, sys.stderr):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def import_mlflow() -> None:
+    """So that :func:`track` finds it imported; what can't be imported is told with the record."""
+    with suppress(Exception), quiet_mlflow(1.0):
+        from mlflow import MlflowClient, pyfunc  # noqa: F401
+        from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
+
+
+def serve(connection: Connection) -> NoReturn:
+    """Log what comes until the other end is closed."""
     try:
-        with suppress(Exception), quiet_mlflow(1.0):  # what can't be imported is told with the record
-            from mlflow import MlflowClient, pyfunc  # noqa: F401  # so that `track` finds them imported
-            from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
         while True:
             record, settings = connection.recv()
             sentences = track(record, settings)
@@ -138,8 +166,8 @@ def _log_beside(record: StageRecord, settings: TrackingConfig, patience_seconds:
         answer: list[str] = connection.recv()
         return answer
     except KeyboardInterrupt:
-        os.kill(process.pid or 0, signal.SIGINT)
-        process.join(patience_seconds)
+        os.kill(process, signal.SIGINT)
+        connection.poll(patience_seconds)  # it closes its end
         raise
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -207,9 +209,9 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
     with recorder_beside(True):
         if killed:
-            process, _ = tracker._running[0]
-            process.kill()
-            process.join()
+            process, connection = tracker._running[0]
+            os.kill(process, signal.SIGKILL)
+            connection.poll(30.0)
         told = track(record, settings)
     assert len(told) == 1
     assert "loss" in told[0]
@@ -218,6 +220,34 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
         assert sorted(database.execute("SELECT key, value FROM metrics")) == [("error", 0.5), ("loss", 2.0)]
         assert database.execute("SELECT key, value FROM params").fetchall() == [("seed", "3")]
     database.close()
+
+
+@pytest.mark.slow
+def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
+    import sqlite3
+
+    command = (
+        "import os, psutil\n"
+        "from pipeline.config.schema import TrackingConfig\n"
+        "from pipeline.tracking import StageRecord, recorder_beside, track, tracker\n"
+        "settings = TrackingConfig(enabled=True, uri='sqlite:///mlflow.db', timeout_seconds=30.0)\n"
+        "with recorder_beside(True):\n"
+        "    print(psutil.Process(tracker._running[0][0]).ppid(), os.getppid())\n"
+        "    assert not track(StageRecord('x', 'train', 1.0, 2.0, {}, {}, {'error': 0.5}), settings)\n"
+    )
+    (tmp_path / "stage.py").write_text(command)
+    both = f"{sys.executable} stage.py && cd folder && {sys.executable} ../stage.py; exit 3"
+    (tmp_path / "folder").mkdir()
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    shared = [sys.executable, "-m", "pipeline.tracking", "bash", "-c", both]
+    ended = subprocess.run(shared, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=120)
+    assert (ended.returncode, ended.stderr) == (3, "")
+    first, second = (line.split() for line in ended.stdout.splitlines())
+    assert first[0] == second[0] != first[1]
+    for folder in (tmp_path, tmp_path / "folder"):  # each command's own
+        with sqlite3.connect(folder / "mlflow.db") as database:
+            assert database.execute("SELECT name, status FROM runs").fetchall() == [("train", "FINISHED")]
+        database.close()
 
 
 def test_without_tracking_no_process_is_started() -> None:

@@ -22,7 +22,7 @@ import pipeline
 from pipeline.config.schema import TrackingConfig
 from pipeline.errors import StorageError
 from pipeline.tracking import StageRecord, track, tracker
-from pipeline.tracking.model import tabulate_identified
+from pipeline.tracking.model import exemplify, tabulate_identified
 from pipeline.tracking.store import prepare_database, quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
@@ -389,7 +389,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingConfig, model_
     from pipeline.identification.storage import load_model
 
     folder = shutil.copytree(model_folder, tmp_path / "model")
-    assert track(record(model=folder), settings) == []
+    assert track(record(model=folder, example=exemplify(load_model(folder))), settings) == []
     shutil.rmtree(folder)
     run = Logged(settings).run
     (output,) = run.outputs.model_outputs
@@ -425,7 +425,10 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingConfig, model_
 
 
 def test_logged_model_says_what_it_is(settings: TrackingConfig, model_folder: Path, quiet: None) -> None:
-    assert track(record(model=model_folder, metrics={"loss": 0.5}), settings) == []
+    from pipeline.identification.storage import load_model
+
+    example = exemplify(load_model(model_folder))
+    assert track(record(model=model_folder, example=example, metrics={"loss": 0.5}), settings) == []
     from mlflow.models import Model
 
     logged = Logged(settings)
@@ -456,7 +459,9 @@ def test_model_is_logged_without_a_look_through_all_packages(
 ) -> None:
     from mlflow.utils import environment, requirements_utils
 
+    from pipeline.identification.storage import load_model
+
     check = environment.warn_dependency_requirement_mismatches
-    assert track(record(model=model_folder), settings) == []
+    assert track(record(model=model_folder, example=exemplify(load_model(model_folder))), settings) == []
     assert requirements_utils._PACKAGES_TO_MODULES is None
     assert environment.warn_dependency_requirement_mismatches is check
