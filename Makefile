@@ -33,8 +33,8 @@ demo: env  ## from synthetic recordings of a machine to its results on one scree
 	$(RUN) pipeline 'stage=[ingest,train,evaluate,predict,summary]' experiment=measured_demo \
 		output=artifacts/demo tracking=none
 
-# `dvc repro` alone makes the same, one stage after the other. Here two of it run at once, on different experiments, and
-# all stages share one import of MLflow.
+# `dvc repro` alone makes the same, one stage after the other. Here two of it run at once, on different experiments, each
+# stage by itself (a stage that all depend on can't be looked at by both), and all share one import of MLflow.
 reproduce: env  ## run every experiment whose inputs changed (dvc repro), then the check
 	$(RUN) dvc repro configure
 	$(RUN) pipeline.tracking $(MAKE) -j2 experiments-a-l experiments-m-z
@@ -42,10 +42,10 @@ reproduce: env  ## run every experiment whose inputs changed (dvc repro), then t
 	$(RUN) pipeline stage=check tracking=none
 
 experiments-a-l:
-	$(RUN) dvc --wait-for-lock repro --glob '*@[a-l]*'
+	$(RUN) dvc --wait-for-lock repro --single-item --glob '*@[a-l]*'
 
 experiments-m-z:
-	$(RUN) dvc --wait-for-lock repro --glob ordinary '*@[m-z]*'
+	$(RUN) dvc --wait-for-lock repro --single-item --glob ordinary '*@[m-z]*'
 
 test: reproduce  ## make what changed and check it, run the tests (all but the nightly ones), and check again
 	$(PYTEST)

@@ -118,9 +118,15 @@ def _hash(value: object) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def write_sections(folder: Path) -> Iterator[Path]:
-    """Write ``sections.json`` beside every ``config.yaml`` below ``folder``."""
-    for path in sorted(folder.glob("*/config.yaml")):
+def write_configurations(folder: Path) -> Iterator[Path]:
+    """Write ``config.yaml`` of every experiment below ``folder``, and ``sections.json`` beside it."""
+    from pipeline.config.compose import compose_config
+    from pipeline.config.loader import list_options
+    from pipeline.stages.configure import write_configuration
+
+    for name in list_options("experiment"):
+        config = compose_config(["stage=configure", f"experiment={name}", f"output='{folder / name}'"])
+        path = write_configuration(config)
         yield write_json(path.with_name("sections.json"), hash_sections(path))
 
 
@@ -129,4 +135,4 @@ if __name__ == "__main__":
     if command == "code":
         print(f"code of each stage in '{write_json(place, hash_code())}'")
     else:
-        print(f"sections of {len(list(write_sections(place)))} configurations in '{place}'")
+        print(f"{len(list(write_configurations(place)))} configurations in '{place}'")
