@@ -3,7 +3,7 @@
     python studies/ordinary/ordinary.py output=FOLDER [seeds=0-11] [workers=2] [cases=NAME,...]
 
 Each machine is written as its user has it: a machine file that states rotor and runs, and two tables of vibration and
-excitation. `stage=[train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong reaches it.
+excitation. `stage=[diagnose,train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong reaches it.
 Then, and only then, its files are held against the real coefficients. Seeds 0 to 11 are there to choose a method by;
 others judge it. A machine that is done is not done again; the summary is `ordinary.json`.
 
@@ -11,12 +11,14 @@ What is counted, pointwise over the speed: *within* is the share of speeds at wh
 exported 95 % band; a machine's figure is the mean over its sixteen coefficients. *Half width* and *error* are those of
 direct coefficients whose half width is below 100 % (what data decide), medians in percent of the real value, or of
 a twentieth of the direct coefficients where it is less. A "good" coefficient is *wrong* where its median error exceeds
-20 % or the median band. *Usable* is not called "no".
+20 % or the median band. *Usable* is not called "no". *Expected* are coefficients whose deviation the diagnosis, which
+comes before the fit, has within a factor of 1.5.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -67,7 +69,7 @@ def write_user_files(folder: Path, drawn: Drawn, noise: float, seed: int) -> Bea
 def identify(folder: Path) -> str:
     """By the command; its last line where it refuses, else nothing."""
     answer = folder / "answer"
-    command = [sys.executable, "-m", "pipeline", "stage=[train,verdict]", f"machine.file={folder / 'machine.yaml'}"]
+    command = [sys.executable, "-m", "pipeline", "stage=[diagnose,train,verdict]", f"machine.file={folder / 'machine.yaml'}"]
     ended = subprocess.run(
         [*command, f"output={answer}", "tracking=none", "threads=1"], capture_output=True, text=True, check=False
     )
@@ -86,9 +88,21 @@ def judge(folder: Path, felt: BearingTable) -> dict[str, Any]:
     values = np.stack([part[list(COEFFICIENTS)].to_numpy() for part in each])
     band = NOMINAL_95 * np.stack([part[[f"{name}_std" for name in COEFFICIENTS]].to_numpy() for part in each])
     words = [[said[node, name] for name in COEFFICIENTS] for node in felt.nodes]
+    rows = compare(felt, values, values - band, values + band, words)
+    before, after = (_read_deviations(folder / "answer" / f"{name}.json") for name in ("diagnosis", "training"))
+    expected = [abs(math.log(after[key] / before[key])) < math.log(1.5) for key in said]
     return {
         "machine": verdicts["machine"]["verdict"],
-        "coefficients": compare(felt, values, values - band, values + band, words),
+        "coefficients": [row | {"expected": right} for row, right in zip(rows, expected, strict=True)],
+    }
+
+
+def _read_deviations(path: Path) -> dict[tuple[int, str], float]:
+    determined = json.loads(path.read_text(encoding="utf-8"))["determined"]["coefficients"]
+    return {
+        (int(node), name): number["deviation_percent"]
+        for node, coefficients in determined.items()
+        for name, number in coefficients.items()
     }
 
 
@@ -156,6 +170,7 @@ def summarize(machines: Sequence[Mapping[str, Any]]) -> dict[str, float]:
         "error_percent": median("error_percent"),
         "good": len(good),
         "good_and_wrong": sum(row["wrong"] for row in good),
+        "expected_percent": 100 * float(np.mean([row["expected"] for row in rows])) if rows else 0.0,
         "accurate": len(accurate),
         "accurate_and_usable": sum(row["verdict"] != "no" for row in accurate),
     }
