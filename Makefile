@@ -15,6 +15,9 @@ RUN = PATH="$(CURDIR)/.venv/bin:$$PATH" .venv/bin/python -m
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := 1
 export DVC_NO_ANALYTICS := 1
+# The systems are small: BLAS threads wait for each other, up to 100 times longer than they work on busy cores. A stage of
+# the pipeline sees to it itself; scripts of studies don't.
+export OPENBLAS_NUM_THREADS ?= 1
 # An activated conda or another project's settings must not reach .venv.
 unexport PYTHONHOME PYTHONPATH
 
