@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -62,6 +62,7 @@ class OutputError(LeastSquares):
     functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
     exact: bool = False  # the rotor is solved for any weights (1, 1, Z), not to first order about those of the last
+    carried: ClassVar = ("ask", "ak")  # axes of the carrier, where an output has its own weights, and of the numbers
 
     @property
     def measurement(self) -> Measurement:
@@ -128,6 +129,10 @@ class OutputError(LeastSquares):
                 rows.append(torch.nn.functional.pad(row.flatten(), (0, self.places.n_rest))[None])
                 aims.append(torch.tensor([np.log(share) / deviation if positive else 0.0], dtype=precision.dtype))
         return Prior(torch.cat(rows), torch.cat(aims))
+
+    def carrier(self, weights: torch.Tensor) -> torch.Tensor:
+        """Derivative of the active outputs by the coefficients' numbers, with the axes :attr:`carried`."""
+        return self._carrier
 
     @cached_property
     def _carrier(self) -> torch.Tensor:
@@ -295,20 +300,11 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        carrier, n_active, outer = self._carrier, len(self.active), self.places.n_coefficients
-        count, carrier, right = carrier.shape[-1], carrier[:, after:], carrier[:, : carrier.shape[1] - after]
-        whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
-        for a in range(n_active):
-            weighted = carrier[a][None, :, :, None] * local[:, :, a, None, :n_active]  # (G, S, K, A)
-            rows = slice(a * count, (a + 1) * count)
-            whole[:, rows, :outer] = torch.einsum("gskc,csl->gkcl", weighted, right).flatten(2)
-        across = torch.einsum("gsan,ask->gakn", local[:, :, :n_active, n_active:], carrier).flatten(1, 2)
-        whole[:, :outer, outer:], whole[:, outer:, :outer] = across, across.mT
-        if after:
-            before = torch.einsum("gsna,ask->gnak", local[:, :, n_active:, :n_active], right)
-            whole[:, outer:, :outer] = before.flatten(2)
-        whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
-        return whole
+        carrier, n_active, (place, number) = self.carrier(weights), len(self.active), self.carried
+        by_weights = self._by_weights(local[..., :n_active], carrier[:, : carrier.shape[1] - after])
+        columns = torch.cat([by_weights, local[..., n_active:]], dim=-1)  # (G, S, A + .. + 1, Z + 1)
+        of_outputs = torch.einsum(f"{place},gsan->g{number}n", carrier[:, after:], columns[:, :, :n_active])
+        return torch.cat([of_outputs.flatten(1, 2), columns[:, :, n_active:].sum(1)], dim=1)
 
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
@@ -322,17 +318,18 @@ class OutputError(LeastSquares):
         """(G, S, P, R, Z + 1) complex of every block, as :meth:`columns`."""
         import torch
 
-        blocks = []
+        blocks, carrier = [], self.carrier(weights)
         for b, local in enumerate(self._local(weights)):
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
-            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, weights), rest], dim=-1)))
+            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, carrier), rest], dim=-1)))
         return blocks
 
-    def _by_weights(self, by_output: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """(G, S, P, R, A K) from derivatives (G, S, P, R, A) by the model's outputs."""
+    def _by_weights(self, by_output: torch.Tensor, carrier: torch.Tensor) -> torch.Tensor:
+        """(G, S, .., n) by the coefficients' numbers, from derivatives (G, S, .., A) by the model's outputs."""
         import torch
 
-        return torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(by_output.dtype)).flatten(-2)
+        place, number = self.carried
+        return torch.einsum(f"gs...a,{place}->gs...{number}", by_output, carrier.to(by_output.dtype)).flatten(-2)
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
