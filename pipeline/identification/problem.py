@@ -31,7 +31,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term, no_prior
+from pipeline.identification.blocks import (
+    Basis,
+    LawTerm,
+    Places,
+    Prior,
+    law_term,
+    no_prior,
+    of_active,
+    slopes_by_weights,
+)
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
@@ -178,19 +187,8 @@ class OutputError(LeastSquares):
         """(G, S, A) active unknowns in N/m and N s/m, their derivatives (G, S, A, A) by the model's outputs, and
         (G, S, A, Th) those by theta.
         """
-        member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
         every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
-        values, slope, by_numbers = (array[:, member, :, unknown] for array in every)  # (A, G, S, ..)
-        slope = slope[..., unknown] * self._alike[:, None, None]
-        return values.movedim(0, -1), slope.movedim(0, -2), by_numbers.movedim(0, -2)
-
-    @cached_property
-    def _alike(self) -> torch.Tensor:
-        """(A, A) one where two active unknowns are of the same member."""
-        import torch
-
-        member = torch.tensor([m for m, _ in self.active])
-        return (member[:, None] == member).to(torch.float64)
+        return of_active(self.active, *every)
 
     # --- from the machine to the sensors -------------------------------------------------------------
 
@@ -353,11 +351,7 @@ class OutputError(LeastSquares):
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""
-        import torch
-
-        _, by_outputs, by_numbers = self.unknowns(weights)
-        by_features = torch.einsum("gsab,bsk->gsabk", by_outputs, self._carrier).flatten(-2)
-        return np.asarray(torch.cat([by_features, by_numbers], dim=-1).numpy())
+        return slopes_by_weights(*self.unknowns(weights)[1:], self._carrier)
 
     # --- fewer features ------------------------------------------------------------------------------
 
