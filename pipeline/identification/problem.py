@@ -190,6 +190,15 @@ class OutputError(LeastSquares):
         every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
         return of_active(self.active, *every)
 
+    def weigh(self, count: int = 1, **blocks: torch.Tensor) -> torch.Tensor:
+        """(G, 1, Z) weights of ``count`` starts, from ``blocks`` by their names in :class:`Places`; else zero."""
+        import torch
+
+        weights = torch.zeros(count, 1, self.size, dtype=torch.float64)
+        for name, block in blocks.items():
+            weights[:, 0, getattr(self.places, name)] = block
+        return weights
+
     # --- from the machine to the sensors -------------------------------------------------------------
 
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
