@@ -92,10 +92,7 @@ class OutputError(LeastSquares):
     def places(self) -> Places:
         """Where each block lies among the weights."""
         n_planes, n_parameters = len(self.measurement.unknowns.planes), len(self.measurement.parameters)
-        return Places(self._n_coefficients(), self.law.n_numbers, n_planes, n_parameters)
-
-    def _n_coefficients(self) -> int:
-        return len(self.active) * int(self.features.shape[-1])
+        return Places(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
 
     @property
     def size(self) -> int:

@@ -51,6 +51,13 @@ def start_networks(
     return torch.cat([torch.stack(networks)[:, None], rest], dim=-1)
 
 
+def keep_all(model: CoefficientModel) -> torch.Tensor:
+    """(M, Q) bool: every parameter of the networks is fitted."""
+    import torch
+
+    return torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainedNetworks(OutputError):
     """Least squares of numbers (G, 1, Y): parameters of the members, residual unbalance, model parameters.
@@ -62,15 +69,6 @@ class TrainedNetworks(OutputError):
     known: Prior  # of the numbers
     nodes: torch.Tensor  # (K, 1) scaled inputs at which the prior of functions holds, if there is one
     carried: ClassVar = ("gsamq", "mq")  # every output may have all parameters of its member
-
-    def _n_coefficients(self) -> int:
-        return len(self.scale) * self.model.n_parameters
-
-    def fitted(self) -> torch.Tensor:
-        """(Y,) bool: all of them."""
-        import torch
-
-        return torch.ones(self.size, dtype=torch.bool)
 
     @cached_property
     def prior(self) -> Prior:
@@ -156,6 +154,7 @@ def train_from_nodes(
     training = problem.of_kind(
         TrainedNetworks,
         basis=replace(problem.basis, model=model),
+        kept=keep_all(model),
         inputs=model.scaled_inputs(problem.measurement.dataset.points),
         known=_hold(start[0, 0], n_of_networks, hold),
         nodes=_spread(spline.n_functions),
