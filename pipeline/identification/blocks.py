@@ -251,7 +251,7 @@ class LawTerm:
         return values, torch.diag_embed(by_output), slopes * growth[..., None]
 
 
-def of_active(
+def select_active(
     active: Sequence[tuple[int, int]], values: torch.Tensor, by_outputs: torch.Tensor, by_numbers: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """What :meth:`LawTerm.correct` gives, of the active unknowns: (G, S, A), (G, S, A, A), (G, S, A, Th)."""
@@ -266,7 +266,7 @@ def of_active(
 
 def slopes_by_weights(by_outputs: torch.Tensor, by_numbers: torch.Tensor, carrier: torch.Tensor) -> np.ndarray:
     """(G, S, A, A K + Th) derivative of the active unknowns by the weights of functions, of which ``carrier`` (A, S, K)
-    has those of each unknown, and by the numbers of laws; from those of :func:`of_active`.
+    has those of each unknown, and by the numbers of laws; from those of :func:`select_active`.
     """
     import torch
 

@@ -38,7 +38,7 @@ from pipeline.identification.blocks import (
     Prior,
     law_term,
     no_prior,
-    of_active,
+    select_active,
     slopes_by_weights,
 )
 from pipeline.identification.model import CoefficientModel
@@ -185,7 +185,7 @@ class OutputError(LeastSquares):
         (G, S, A, Th) those by theta.
         """
         every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
-        return of_active(self.active, *every)
+        return select_active(self.active, *every)
 
     def weigh(self, count: int = 1, **blocks: torch.Tensor) -> torch.Tensor:
         """(G, 1, Z) weights of ``count`` starts, from ``blocks`` by their names in :class:`Places`; else zero."""
@@ -307,8 +307,8 @@ class OutputError(LeastSquares):
         carrier, n_active, (place, number) = self.carrier(weights), len(self.active), self.carried
         by_weights = self._by_weights(local[..., :n_active], carrier[:, : carrier.shape[1] - after])
         columns = torch.cat([by_weights, local[..., n_active:]], dim=-1)  # (G, S, A + .. + 1, Z + 1)
-        of_outputs = torch.einsum(f"{place},gsan->g{number}n", carrier[:, after:], columns[:, :, :n_active])
-        return torch.cat([of_outputs.flatten(1, 2), columns[:, :, n_active:].sum(1)], dim=1)
+        by_outputs = torch.einsum(f"{place},gsan->g{number}n", carrier[:, after:], columns[:, :, :n_active])
+        return torch.cat([by_outputs.flatten(1, 2), columns[:, :, n_active:].sum(1)], dim=1)
 
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.blocks import Places, law_term, of_active, slopes_by_weights
+from pipeline.identification.blocks import Places, law_term, select_active, slopes_by_weights
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
@@ -63,7 +63,7 @@ class Uncertainty:
             local = torch.as_tensor(evaluate_local(model, points, self.n_local)).expand(*basis.shape[:2], -1)
             carrier = torch.cat([basis, local], dim=-1)[[m for m, _ in unknowns.active]]
             every = (array[None] for array in identified.corrected(points))
-            _, by_outputs, by_numbers = of_active(unknowns.active, *every)
+            _, by_outputs, by_numbers = select_active(unknowns.active, *every)
             return unknowns.expand_slopes(slopes_by_weights(by_outputs, by_numbers, carrier)[0])
 
     def deviation(
