@@ -126,6 +126,14 @@ class UnknownSet:
         """(S, A) the active unknowns of all (M, S, U)."""
         return np.stack([values[m, :, u] for m, u in self.active], axis=-1)
 
+    def expand_slopes(self, slopes: np.ndarray) -> np.ndarray:
+        """(B, S, 8, n) derivative of the coefficients, from that of the active unknowns (S, A, n)."""
+        result = np.zeros((len(self.expansion), len(slopes), len(COEFFICIENTS), slopes.shape[-1]))
+        for b, signs in enumerate(self.influence):
+            mine = signs.any(axis=0)  # what runs away at another bearing is none of this one's
+            result[b] = np.einsum("ca,san->scn", signs[:, mine], slopes[:, mine], optimize=True)
+        return result
+
     def from_active(self, columns: np.ndarray) -> np.ndarray:
         """(M, S, U) from the active unknowns (S, A); zero where a member lacks an unknown."""
         result = np.zeros((self.n_members, len(columns), len(self.names)))

@@ -127,13 +127,9 @@ def refit(
     deviation = answer.deviation_at(truth)
     assert deviation is not None
 
-    def list_active(values: np.ndarray) -> np.ndarray:
-        """(.., A) of values (B, .., 8)."""
-        leading = unknowns.leading(values)
-        return np.stack([leading[m, :, u] for m, u in unknowns.active], axis=-1)
-
-    real, spread = list_active(truth.values), list_active(np.nan_to_num(deviation))
-    error = list_active(answer.table.values) - real
+    tables = (truth.values, np.nan_to_num(deviation), answer.table.values)
+    real, spread, answered = (unknowns.to_active(unknowns.leading(values)) for values in tables)
+    error = answered - real
     keep = sensors.start.keep
     # Laws have no weights that give any coefficients: their bound is that of the answer.
     by_laws = bool(sensors.problem.measurement.laws)

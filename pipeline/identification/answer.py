@@ -70,11 +70,12 @@ def restore(
     made = output_error(measurement, basis, uncertainty.plane_scale)
     functions = Prior(rows, torch.zeros_like(aims))
     problem = replace(made, kept=torch.as_tensor(told), precision=precision, functions=functions)
-    weights = torch.zeros(1, 1, problem.size, dtype=torch.float64)
-    weights[0, 0, problem.places.numbers] = identified.theta
     unbalance = torch.as_tensor(uncertainty.residual_unbalance / uncertainty.plane_scale)
-    weights[0, 0, problem.places.planes] = torch.view_as_real(unbalance).flatten()
-    weights[0, 0, problem.places.parameters] = torch.as_tensor(uncertainty.parameters)
+    weights = problem.weigh(
+        numbers=identified.theta,
+        planes=torch.view_as_real(unbalance).flatten(),
+        parameters=torch.as_tensor(uncertainty.parameters),
+    )
     return problem, weights
 
 

@@ -12,7 +12,7 @@ the logarithm of each over its guess).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -249,6 +249,29 @@ class LawTerm:
         values, by_output = model.physical(outputs, torch.where(positive, base, scale), base)
         growth = torch.where(positive, torch.where(positive, outputs, 0.0).exp(), 1.0)
         return values, torch.diag_embed(by_output), slopes * growth[..., None]
+
+
+def select_active(
+    active: Sequence[tuple[int, int]], values: torch.Tensor, by_outputs: torch.Tensor, by_numbers: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """What :meth:`LawTerm.correct` gives, of the active unknowns: (G, S, A), (G, S, A, A), (G, S, A, Th)."""
+    import torch
+
+    member, unknown = [m for m, _ in active], [u for _, u in active]
+    values, slope, by_theta = (array[:, member, :, unknown] for array in (values, by_outputs, by_numbers))
+    alike = torch.tensor(member)[:, None] == torch.tensor(member)  # (A, A) where two are of the same member
+    slope = slope[..., unknown] * alike[:, None, None]
+    return values.movedim(0, -1), slope.movedim(0, -2), by_theta.movedim(0, -2)
+
+
+def slopes_by_weights(by_outputs: torch.Tensor, by_numbers: torch.Tensor, carrier: torch.Tensor) -> np.ndarray:
+    """(G, S, A, A K + Th) derivative of the active unknowns by the weights of functions, of which ``carrier`` (A, S, K)
+    has those of each unknown, and by the numbers of laws; from those of :func:`select_active`.
+    """
+    import torch
+
+    by_functions = torch.einsum("gsab,bsk->gsabk", by_outputs, carrier).flatten(-2)
+    return np.asarray(torch.cat([by_functions, by_numbers], dim=-1).numpy())
 
 
 def law_term(laws: LawSet, unknowns: UnknownSet, points: Mapping[str, np.ndarray]) -> LawTerm:

@@ -79,13 +79,9 @@ def start_at(problem: OutputError, values: np.ndarray) -> torch.Tensor:
     import torch
 
     raw = _outputs(problem, values)
-    coordinates = (
-        torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active]) * problem.kept
-    )  # (A, K)
-    weights = torch.zeros(1, 1, problem.size, dtype=coordinates.dtype)
-    weights[..., problem.places.coefficients] = coordinates.flatten()
-    weights[..., problem.places.parameters] = problem.sensors.solved_at
-    return weights
+    coordinates = torch.stack([problem.features[m].T @ raw[m, :, u] for m, u in problem.active])  # (A, K)
+    kept = (coordinates * problem.kept).flatten()
+    return problem.weigh(coefficients=kept, parameters=problem.sensors.solved_at)
 
 
 def robust_start(problem: OutputError, values: np.ndarray, rounds: int = 20, smallest: float = 1e-12) -> torch.Tensor:
@@ -104,8 +100,7 @@ def robust_start(problem: OutputError, values: np.ndarray, rounds: int = 20, sma
             off = (target - features @ solution).abs()
             weight = 1 / (off / off.median().clamp(min=smallest)).clamp(min=1.0)
         rows.append(solution * problem.kept[len(rows)])
-    rest = torch.zeros(problem.places.n_rest, dtype=raw.dtype)
-    return torch.cat([torch.stack(rows).flatten(), rest])[None, None]
+    return problem.weigh(coefficients=torch.stack(rows).flatten())
 
 
 def _outputs(problem: OutputError, values: np.ndarray) -> torch.Tensor:

@@ -289,7 +289,4 @@ def _weights_of(problem: OutputError, theta: torch.Tensor) -> torch.Tensor:
     import torch
 
     numbers = torch.atleast_2d(theta)
-    weights = torch.zeros(len(numbers), 1, problem.size, dtype=torch.float64)
-    weights[:, 0, problem.places.numbers] = numbers
-    weights[..., problem.places.parameters] = problem.sensors.solved_at
-    return weights
+    return problem.weigh(len(numbers), numbers=numbers, parameters=problem.sensors.solved_at)

@@ -27,11 +27,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from pipeline.identification.blocks import Basis, LawTerm, Places, Prior, law_term, no_prior
+from pipeline.identification.blocks import (
+    Basis,
+    LawTerm,
+    Places,
+    Prior,
+    law_term,
+    no_prior,
+    select_active,
+    slopes_by_weights,
+)
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
@@ -62,6 +71,7 @@ class OutputError(LeastSquares):
     functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
     exact: bool = False  # the rotor is solved for any weights (1, 1, Z), not to first order about those of the last
+    carried: ClassVar = ("ask", "ak")  # axes of the carrier, where an output has its own weights, and of the numbers
 
     @property
     def measurement(self) -> Measurement:
@@ -82,10 +92,7 @@ class OutputError(LeastSquares):
     def places(self) -> Places:
         """Where each block lies among the weights."""
         n_planes, n_parameters = len(self.measurement.unknowns.planes), len(self.measurement.parameters)
-        return Places(self._n_coefficients(), self.law.n_numbers, n_planes, n_parameters)
-
-    def _n_coefficients(self) -> int:
-        return len(self.active) * int(self.features.shape[-1])
+        return Places(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
 
     @property
     def size(self) -> int:
@@ -128,6 +135,10 @@ class OutputError(LeastSquares):
                 rows.append(torch.nn.functional.pad(row.flatten(), (0, self.places.n_rest))[None])
                 aims.append(torch.tensor([np.log(share) / deviation if positive else 0.0], dtype=precision.dtype))
         return Prior(torch.cat(rows), torch.cat(aims))
+
+    def carrier(self, weights: torch.Tensor) -> torch.Tensor:
+        """Derivative of the active outputs by the coefficients' numbers, with the axes :attr:`carried`."""
+        return self._carrier
 
     @cached_property
     def _carrier(self) -> torch.Tensor:
@@ -173,19 +184,17 @@ class OutputError(LeastSquares):
         """(G, S, A) active unknowns in N/m and N s/m, their derivatives (G, S, A, A) by the model's outputs, and
         (G, S, A, Th) those by theta.
         """
-        member, unknown = [m for m, _ in self.active], [u for _, u in self.active]
         every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
-        values, slope, by_numbers = (array[:, member, :, unknown] for array in every)  # (A, G, S, ..)
-        slope = slope[..., unknown] * self._alike[:, None, None]
-        return values.movedim(0, -1), slope.movedim(0, -2), by_numbers.movedim(0, -2)
+        return select_active(self.active, *every)
 
-    @cached_property
-    def _alike(self) -> torch.Tensor:
-        """(A, A) one where two active unknowns are of the same member."""
+    def weigh(self, count: int = 1, **blocks: torch.Tensor) -> torch.Tensor:
+        """(G, 1, Z) weights of ``count`` starts, from ``blocks`` by their names in :class:`Places`; else zero."""
         import torch
 
-        member = torch.tensor([m for m, _ in self.active])
-        return (member[:, None] == member).to(torch.float64)
+        weights = torch.zeros(count, 1, self.size, dtype=torch.float64)
+        for name, block in blocks.items():
+            weights[:, 0, getattr(self.places, name)] = block
+        return weights
 
     # --- from the machine to the sensors -------------------------------------------------------------
 
@@ -295,20 +304,11 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        carrier, n_active, outer = self._carrier, len(self.active), self.places.n_coefficients
-        count, carrier, right = carrier.shape[-1], carrier[:, after:], carrier[:, : carrier.shape[1] - after]
-        whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
-        for a in range(n_active):
-            weighted = carrier[a][None, :, :, None] * local[:, :, a, None, :n_active]  # (G, S, K, A)
-            rows = slice(a * count, (a + 1) * count)
-            whole[:, rows, :outer] = torch.einsum("gskc,csl->gkcl", weighted, right).flatten(2)
-        across = torch.einsum("gsan,ask->gakn", local[:, :, :n_active, n_active:], carrier).flatten(1, 2)
-        whole[:, :outer, outer:], whole[:, outer:, :outer] = across, across.mT
-        if after:
-            before = torch.einsum("gsna,ask->gnak", local[:, :, n_active:, :n_active], right)
-            whole[:, outer:, :outer] = before.flatten(2)
-        whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
-        return whole
+        carrier, n_active, (place, number) = self.carrier(weights), len(self.active), self.carried
+        by_weights = self._by_weights(local[..., :n_active], carrier[:, : carrier.shape[1] - after])
+        columns = torch.cat([by_weights, local[..., n_active:]], dim=-1)  # (G, S, A + .. + 1, Z + 1)
+        by_outputs = torch.einsum(f"{place},gsan->g{number}n", carrier[:, after:], columns[:, :, :n_active])
+        return torch.cat([by_outputs.flatten(1, 2), columns[:, :, n_active:].sum(1)], dim=1)
 
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
@@ -322,17 +322,18 @@ class OutputError(LeastSquares):
         """(G, S, P, R, Z + 1) complex of every block, as :meth:`columns`."""
         import torch
 
-        blocks = []
+        blocks, carrier = [], self.carrier(weights)
         for b, local in enumerate(self._local(weights)):
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
-            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, weights), rest], dim=-1)))
+            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, carrier), rest], dim=-1)))
         return blocks
 
-    def _by_weights(self, by_output: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """(G, S, P, R, A K) from derivatives (G, S, P, R, A) by the model's outputs."""
+    def _by_weights(self, by_output: torch.Tensor, carrier: torch.Tensor) -> torch.Tensor:
+        """(G, S, .., n) by the coefficients' numbers, from derivatives (G, S, .., A) by the model's outputs."""
         import torch
 
-        return torch.einsum("gspra,ask->gsprak", by_output, self._carrier.to(by_output.dtype)).flatten(-2)
+        place, number = self.carried
+        return torch.einsum(f"gs...a,{place}->gs...{number}", by_output, carrier.to(by_output.dtype)).flatten(-2)
 
     def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
@@ -356,11 +357,7 @@ class OutputError(LeastSquares):
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""
-        import torch
-
-        _, by_outputs, by_numbers = self.unknowns(weights)
-        by_features = torch.einsum("gsab,bsk->gsabk", by_outputs, self._carrier).flatten(-2)
-        return np.asarray(torch.cat([by_features, by_numbers], dim=-1).numpy())
+        return slopes_by_weights(*self.unknowns(weights)[1:], self._carrier)
 
     # --- fewer features ------------------------------------------------------------------------------
 

@@ -30,8 +30,9 @@ from pipeline.identification.model_error import MeanSquareError, noise_alone
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.trained_network import TrainedNetworks, start_networks
+from pipeline.identification.trained_network import TrainedNetworks, keep_all, start_networks
 from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, initial_guess, minimise
+from pipeline.problem.noise_levels import student_factor
 
 if TYPE_CHECKING:
     import torch
@@ -95,9 +96,8 @@ def train_hidden(
     values, _ = model.physical(problem.outputs(linear), problem.scale)
     start = start_networks(model, guess, generator, inputs, values, rest)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
-    training, judging = (
-        weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=inputs[:0]) for weighed in (half, other)
-    )
+    numbers = {"inputs": inputs, "known": known, "nodes": inputs[:0], "kept": keep_all(model)}
+    training, judging = (weighed.of_kind(TrainedNetworks, **numbers) for weighed in (half, other))
     ending = setup.ending(patience, still)
     return _mean(fit, training, minimise(training, start, ending, held_out=judging, progress=progress, together=True))
 
@@ -154,7 +154,8 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, minimum: Minimum) -> T
     # Where a combination is nearly free the networks lie along a curved valley, and their mean beside it.
     if float(problem.loss(answer[None, None]).square()) > float(((fitted_square + predicted) / 2).min()):
         answer = each[int(score.argmin())]
-    off = (each - answer).numpy() * _student(len(each) // 2)  # the networks come in pairs
+    # Few networks tell their scatter roughly: a pair of them is one degree of freedom, half of a complex one.
+    off = (each - answer).numpy() * student_factor(len(each) / 4) / student_factor(np.inf)
     held_out = {name: make_mean(other) for name, other in start.held_out.items()}
     # The first row is the start, where the fit before ended.
     trained = replace(minimum, history=minimum.history[1:], steps=minimum.steps - 1).after(fit.minimum)
@@ -166,14 +167,6 @@ def _mean(fit: OutputErrorFit, training: TrainedNetworks, minimum: Minimum) -> T
         factor=fit.factor,
         scatter=off.T @ off / len(each),
     )
-
-
-def _student(freedom: int, confidence: float = 0.95) -> float:
-    """Factor of a deviation told by so many differences, for which intervals of the normal distribution hold."""
-    from scipy.stats import norm, t
-
-    tail = (1 + confidence) / 2
-    return float(t.ppf(tail, freedom) / norm.ppf(tail))
 
 
 def _span(model: CoefficientModel, networks: torch.Tensor, inputs: torch.Tensor) -> tuple[Basis, torch.Tensor]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -51,6 +51,13 @@ def start_networks(
     return torch.cat([torch.stack(networks)[:, None], rest], dim=-1)
 
 
+def keep_all(model: CoefficientModel) -> torch.Tensor:
+    """(M, Q) bool: every parameter of the networks is fitted."""
+    import torch
+
+    return torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainedNetworks(OutputError):
     """Least squares of numbers (G, 1, Y): parameters of the members, residual unbalance, model parameters.
@@ -61,15 +68,7 @@ class TrainedNetworks(OutputError):
     inputs: torch.Tensor  # (S, 1), scaled
     known: Prior  # of the numbers
     nodes: torch.Tensor  # (K, 1) scaled inputs at which the prior of functions holds, if there is one
-
-    def _n_coefficients(self) -> int:
-        return len(self.scale) * self.model.n_parameters
-
-    def fitted(self) -> torch.Tensor:
-        """(Y,) bool: all of them."""
-        import torch
-
-        return torch.ones(self.size, dtype=torch.bool)
+    carried: ClassVar = ("gsamq", "mq")  # every output may have all parameters of its member
 
     @cached_property
     def prior(self) -> Prior:
@@ -87,18 +86,22 @@ class TrainedNetworks(OutputError):
         import torch
 
         (gradient, matrix), slopes = super().normal(weights), self._slopes(weights, self.nodes)
-        by_networks = self.functions.rows @ slopes.movedim(1, 2).flatten(1, 2)
+        by_networks = self.functions.rows @ slopes.flatten(-2).movedim(1, 2).flatten(1, 2)
         slope = torch.nn.functional.pad(by_networks, (0, self.places.n_rest))
         return gradient + self.deviate(weights)[:, None] @ slope, matrix + (slope.mT @ slope)[:, None]
 
+    def carrier(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, S, A, M, Q) derivative of the active outputs by the networks' parameters."""
+        return self._slopes(weights, self.inputs)
+
     def _slopes(self, weights: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-        """(G, S, A, M Q) derivative of the active outputs by the networks' parameters: zero but for their own."""
+        """(G, S, A, M, Q) derivative of the active outputs by the networks' parameters: zero but for their own."""
         jacobian = self.model.raw_jacobian(self.networks(weights), inputs)  # (G, M, S, U, Q)
         shape = (len(weights), len(inputs), len(self.active), jacobian.shape[1], jacobian.shape[-1])
         slopes = jacobian.new_zeros(shape)
         for a, (m, u) in enumerate(self.active):
             slopes[:, :, a, m] = jacobian[:, m, :, u]
-        return slopes.flatten(-2)
+        return slopes
 
     def deviate(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, N) of the networks' values at the nodes from the prior of functions."""
@@ -117,28 +120,6 @@ class TrainedNetworks(OutputError):
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the networks."""
         return self.model.raw(self.networks(weights), self.inputs)
-
-    def _by_weights(self, by_output: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """As the other, of parameters: (G, S, P, R, M Q)."""
-        import torch
-
-        return torch.einsum("gspra,gsaq->gsprq", by_output, self._slopes(weights, self.inputs).to(by_output.dtype))
-
-    def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:
-        """Of networks a speed has many columns, so they are summed up at once."""
-        import torch
-
-        slopes, n_active, outer = self._slopes(weights, self.inputs), len(self.active), self.places.n_coefficients
-        slopes, right = slopes[:, after:], slopes[:, : slopes.shape[1] - after]
-        whole = torch.zeros(len(local), self.size + 1, self.size + 1, dtype=local.dtype)
-        by_slopes = slopes.flatten(1, 2).mT @ torch.cat(
-            [local[:, :, :n_active, :n_active] @ right, local[:, :, :n_active, n_active:]], dim=-1
-        ).flatten(1, 2)
-        whole[:, :outer], whole[:, outer:, :outer] = by_slopes, by_slopes[..., outer:].mT
-        if after:
-            whole[:, outer:, :outer] = (local[:, :, n_active:, :n_active] @ right).sum(1)
-        whole[:, outer:, outer:] = local[:, :, n_active:, n_active:].sum(1)
-        return whole
 
 
 # --- from an answer at nodes -----------------------------------------------------------------------------
@@ -173,6 +154,7 @@ def train_from_nodes(
     training = problem.of_kind(
         TrainedNetworks,
         basis=replace(problem.basis, model=model),
+        kept=keep_all(model),
         inputs=model.scaled_inputs(problem.measurement.dataset.points),
         known=_hold(start[0, 0], n_of_networks, hold),
         nodes=_spread(spline.n_functions),

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.blocks import Places, law_term
+from pipeline.identification.blocks import Places, law_term, select_active, slopes_by_weights
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
@@ -57,25 +56,15 @@ class Uncertainty:
         """
         import torch
 
-        model, parameters, points = identified.model, identified.parameters, points_of(speeds, operating)
+        model, points, unknowns = identified.model, points_of(speeds, operating), identified.unknowns
         with torch.no_grad():
-            inputs = model.scaled_inputs(points)
-            basis = (model.features(parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
-            _, by_output, by_numbers = identified.corrected(points)
-            slope, by_theta = by_output.numpy(), by_numbers.numpy()  # (M, S, U, U) and (M, S, U, Th)
-        local = evaluate_local(model, points, self.n_local)  # (S, L)
-        basis = np.concatenate([basis, np.broadcast_to(local, (len(basis), *local.shape))], axis=-1)
-        n_bearings, count = len(identified.bearing_nodes), basis.shape[-1]
-        outer = len(self.active) * count
-        result = np.zeros((n_bearings, basis.shape[1], len(COEFFICIENTS), outer + by_theta.shape[-1]))
-        for a, (m, u) in enumerate(self.active):
-            for b in range(n_bearings):
-                if len(basis) == 1 or b == m:
-                    signs = identified.unknowns.expansion[b]  # (8, U)
-                    by_this_output = slope[m, :, :, u] @ signs.T  # (S, 8)
-                    result[b, :, :, a * count : (a + 1) * count] = by_this_output[..., None] * basis[m][:, None]
-                    result[b, :, :, outer:] += signs[None, :, u, None] * by_theta[m, :, u][:, None]
-        return result
+            features = model.features(identified.parameters, model.scaled_inputs(points))
+            basis = features @ torch.as_tensor(self.weights)  # (M, S, K)
+            local = torch.as_tensor(evaluate_local(model, points, self.n_local)).expand(*basis.shape[:2], -1)
+            carrier = torch.cat([basis, local], dim=-1)[[m for m, _ in unknowns.active]]
+            every = (array[None] for array in identified.corrected(points))
+            _, by_outputs, by_numbers = select_active(unknowns.active, *every)
+            return unknowns.expand_slopes(slopes_by_weights(by_outputs, by_numbers, carrier)[0])
 
     def deviation(
         self,

@@ -17,7 +17,7 @@ from pipeline.methods.method import (
     make_estimate,
     require_determined,
 )
-from pipeline.problem.kalman_filter import BearingFilter, filter_bearings
+from pipeline.problem.kalman_filter import filter_bearings, update_unknowns
 from pipeline.problem.measurement import Measurement
 
 
@@ -36,11 +36,11 @@ def identify_by_filter(data: Measurement, options: MethodOptions, least_settled:
 
 def _propagate_noise(data: Measurement, values: np.ndarray, difference: float = 1e-6) -> np.ndarray:
     """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
-    problem, active, measured = BearingFilter(data), data.unknowns.active, data.dataset.displacement
+    active, measured = data.unknowns.active, data.dataset.displacement
 
     def updated(state: np.ndarray, readings: np.ndarray) -> np.ndarray:
         """(S, A) after one more update."""
-        return data.unknowns.to_active(problem.update(state, readings))
+        return data.unknowns.to_active(update_unknowns(data, state, readings))
 
     base, by_value = updated(values, measured), []
     for m, u in active:

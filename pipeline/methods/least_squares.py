@@ -34,7 +34,7 @@ from pipeline.problem.noise import (
     residual_sensitivity,
     whiten,
 )
-from pipeline.problem.residual import LinearResidual, linear_residual, per_speed_least_squares
+from pipeline.problem.residual import LinearResidual, decompose_columns, linear_residual, per_speed_least_squares
 
 
 def solve_plain(data: Measurement, options: MethodOptions) -> Estimate:
@@ -105,16 +105,9 @@ def _estimate_covariance(data: Measurement, values: np.ndarray) -> np.ndarray:
     return residual_covariance(data.rotor, data.dataset, data.table(values), data.deviation)
 
 
-def _decompose(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Singular value decomposition of A with columns of unit length, and these lengths (M, S, U)."""
-    length = np.linalg.norm(members.matrix, axis=2)
-    length = np.where(length > 0, length, 1.0)
-    return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
-
-
 def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
     """(M, S, U, rows) regularised inverse of A; ``strength`` (M, S) is relative to A with columns of unit length."""
-    left, singular, right, length = _decompose(members)
+    left, singular, right, length = decompose_columns(members)
     floor = singular[..., :1] * np.finfo(float).eps * members.matrix.shape[2]
     filtered = np.where(singular > floor, singular / (singular**2 + strength[..., None] ** 2 + floor**2), 0.0)
     return np.einsum("mskv,msk,msrk->msvr", right, filtered, left) / length[..., None]
@@ -122,7 +115,7 @@ def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
 
 def _validate_strength(members: LinearResidual, weakest: float = 1e-8, strengths: int = 65) -> np.ndarray:
     """(M, S) strengths that minimise ``|residual|^2 / trace(I - A A_inverse)^2``."""
-    left, singular, _, _ = _decompose(members)
+    left, singular, _, _ = decompose_columns(members)
     n_rows = members.matrix.shape[2]
     inside = np.einsum("msrk,msr->msk", left, members.offset)
     outside = np.maximum((members.offset**2).sum(axis=-1) - (inside**2).sum(axis=-1), 0.0)

@@ -22,6 +22,7 @@ from pipeline.identification.blocks import Basis
 from pipeline.identification.inputs import SPEED
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.problem import OutputError, output_error
+from pipeline.identification.selection import revive
 from pipeline.methods.least_squares import solve_total
 from pipeline.methods.method import (
     Estimate,
@@ -172,11 +173,9 @@ def _improve(problem: OutputError, count: int, start: np.ndarray, pairs: np.ndar
     """:func:`_fit`, once more where an unknown has all but ``vanished``, over its size: as an exponential, nothing
     draws it back."""
     fit = _fit(problem, count, start, pairs)
-    outputs, positive = fit.outputs, np.array([problem.model.positive[u] for _, u in problem.active])
-    gone = positive & (np.median(outputs, axis=0) < np.log(vanished))
-    if not gone.any():
-        return fit
-    return min(fit, _fit(problem, count, np.where(gone, 0.0, outputs), fit.pairs), key=lambda tried: tried.chi_square)
+    revived = [replace(fit, weights=weights[None]) for weights in revive(fit.problem, fit.weights, vanished)]
+    again = [_fit(problem, count, back.outputs, fit.pairs) for back in revived]
+    return min([fit, *again], key=lambda tried: tried.chi_square)
 
 
 def _fit(

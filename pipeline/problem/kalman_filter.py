@@ -12,8 +12,6 @@ Legend: B bearings, M members (B, or 1 where they share their coefficients), S s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.coefficients import is_direct
@@ -23,45 +21,34 @@ from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.response import respond
 
 
-@dataclass(frozen=True, eq=False)
-class BearingFilter:
-    """The filter of a measurement."""
+def measure_rest(data: Measurement, values: np.ndarray) -> np.ndarray:
+    """(S,) of what unknowns (M, S, U) leave over, in units of the noise."""
+    predicted = data.response.predict(data.table(values))
+    left_over = (predicted - data.dataset.displacement) / data.deviation
+    return np.asarray((np.abs(left_over) ** 2).mean(axis=(1, 2)))
 
-    measurement: Measurement
 
-    def at(self, speeds: np.ndarray) -> BearingFilter:
-        """The same at the ``speeds`` (indices)."""
-        return BearingFilter(self.measurement.select(speeds))
+def update_unknowns(data: Measurement, values: np.ndarray, measured: np.ndarray, share: float = 1.0) -> np.ndarray:
+    """(M, S, U) unknowns after one update of every run by ``measured`` (S, P, R), and least squares.
 
-    def mean_square(self, values: np.ndarray) -> np.ndarray:
-        """(S,) of what unknowns (M, S, U) leave over, in units of the noise."""
-        data = self.measurement
-        predicted = data.response.predict(data.table(values))
-        left_over = (predicted - data.dataset.displacement) / data.deviation
-        return np.asarray((np.abs(left_over) ** 2).mean(axis=(1, 2)))
-
-    def update(self, values: np.ndarray, measured: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """(M, S, U) unknowns after one update of every run by ``measured`` (S, P, R), and least squares.
-
-        Beforehand the root mean square of the unknown force is a ``share`` of the bearing force.
-        """
-        data = self.measurement
-        table, equations = data.table(values), data.response
-        force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
-        displacements = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
-        for block in equations.blocks:
-            response = respond(block, equations.change(table, block))
-            impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
-            bearing = _product(impedance, response.bearings)
-            for i, run in enumerate(block.runs):
-                prior = (share * np.abs(bearing[:, :, i])) ** 2
-                gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
-                unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
-                motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
-                displacements[..., run] = motion[..., 0]
-                force[..., run] = (unknown - _product(impedance, motion))[..., 0]
-        equations_at = bearing_equations_of(equations, force, displacements)
-        return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
+    Beforehand the root mean square of the unknown force is a ``share`` of the bearing force.
+    """
+    table, equations = data.table(values), data.response
+    force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
+    displacements = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
+    for block in equations.blocks:
+        response = respond(block, equations.change(table, block))
+        impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
+        bearing = _product(impedance, response.bearings)
+        for i, run in enumerate(block.runs):
+            prior = (share * np.abs(bearing[:, :, i])) ** 2
+            gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
+            unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
+            motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
+            displacements[..., run] = motion[..., 0]
+            force[..., run] = (unknown - _product(impedance, motion))[..., 0]
+    equations_at = bearing_equations_of(equations, force, displacements)
+    return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
 
 
 def filter_bearings(
@@ -77,7 +64,7 @@ def filter_bearings(
         explained: mean square over the noise up to which readings count as such.
         hopeless: share of the speeds that must settle from the first guess for others to be tried.
     """
-    problem, unknowns = BearingFilter(measurement), measurement.unknowns
+    unknowns = measurement.unknowns
     n_speeds, guess = len(measurement.dataset.speeds), measurement.guess.sizes(unknowns)
     direct = np.array([is_direct(name) for name in unknowns.names])
     start = np.repeat((guess * direct)[:, None], n_speeds, axis=1)
@@ -86,9 +73,9 @@ def filter_bearings(
         todo = np.flatnonzero(~(settled & (least <= explained)))
         if not len(todo):
             break
-        waiting = problem.at(todo)
+        waiting = measurement.select(todo)
         values, still = _settle(waiting, size * start[:, todo], direct)
-        left_over = np.where(still, waiting.mean_square(values), np.inf)
+        left_over = np.where(still, measure_rest(waiting, values), np.inf)
         better = left_over < least[todo]
         best[:, todo[better]], least[todo[better]] = values[:, better], left_over[better]
         settled[todo[better]] = True
@@ -98,7 +85,7 @@ def filter_bearings(
 
 
 def _settle(
-    problem: BearingFilter,
+    measurement: Measurement,
     values: np.ndarray,
     direct: np.ndarray,
     rounds: int = 300,
@@ -117,9 +104,9 @@ def _settle(
             todo = np.flatnonzero(~still)
             if not len(todo):
                 break
-            waiting, estimates = problem.at(todo), values[:, todo]
+            waiting, estimates = measurement.select(todo), values[:, todo]
             for _ in range(at_once):
-                new = waiting.update(estimates, waiting.measurement.dataset.displacement)
+                new = update_unknowns(waiting, estimates, waiting.dataset.displacement)
                 new = np.where(direct, np.clip(new, estimates / longest, estimates * longest), new)
                 new = np.where(np.isfinite(new), new, estimates)
                 change = np.abs(new - estimates) <= settled * np.maximum(np.abs(new), np.abs(estimates))

@@ -108,12 +108,9 @@ def whiten(residual: LinearResidual, covariance: np.ndarray) -> LinearResidual:
     return LinearResidual(residual.unknowns, stacked[..., :-1], stacked[..., -1])
 
 
-def member_rows(unknowns: UnknownSet) -> list[np.ndarray]:
-    """Which of the 2 B rows of the residual belong to each member."""
-    n_bearings = len(unknowns.expansion)
-    if unknowns.shared:
-        return [np.arange(2 * n_bearings)]
-    return [np.array([2 * b, 2 * b + 1]) for b in range(n_bearings)]
+def member_rows(unknowns: UnknownSet) -> np.ndarray:
+    """(M, 2 B / M) which of the 2 B rows of the residual belong to each member."""
+    return np.arange(2 * len(unknowns.expansion)).reshape(unknowns.n_members, -1)
 
 
 def linear_deviation(inverse: np.ndarray, covariance: np.ndarray) -> np.ndarray:

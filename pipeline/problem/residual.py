@@ -158,6 +158,13 @@ def _check_motion(equations: BearingEquations, residual: LinearResidual) -> None
         )
 
 
+def decompose_columns(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Singular value decomposition of A, (M, S, rows, U), with columns of unit length, and these lengths (M, S, U)."""
+    length = np.linalg.norm(members.matrix, axis=2)
+    length = np.where(length > 0, length, 1.0)
+    return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
+
+
 def per_speed_least_squares(residual: LinearResidual) -> tuple[np.ndarray, np.ndarray]:
     """The conventional answer (Tiwari, Lees, Friswell 2002): each speed by itself.
 
@@ -168,14 +175,12 @@ def per_speed_least_squares(residual: LinearResidual) -> tuple[np.ndarray, np.nd
         unknowns.
     """
     residual = residual.by_member()
-    length = np.linalg.norm(residual.matrix, axis=2, keepdims=True)  # (M, S, 1, U)
-    length = np.where(length > 0, length, 1.0)
-    left, singular, right = np.linalg.svd(residual.matrix / length, full_matrices=False)
+    left, singular, right, length = decompose_columns(residual)
     usable = singular > singular[..., :1] * np.finfo(float).eps * residual.matrix.shape[2]
     inverse = np.where(usable, 1.0 / np.where(usable, singular, 1.0), 0.0)
     projected = np.einsum("bsru,bsr->bsu", left, residual.offset) * inverse
     scaled = -np.einsum("bsuv,bsu->bsv", right, projected)
-    return scaled / length[:, :, 0], _condition_numbers(singular, residual.unknowns)
+    return scaled / length, _condition_numbers(singular, residual.unknowns)
 
 
 def _condition_numbers(singular: np.ndarray, unknowns: UnknownSet) -> np.ndarray:

@@ -98,8 +98,10 @@ def gather(
     runs = measurement.dataset.runs
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
     several, pairs = len(used) > 1, fitted.shape[1] > 2 * len(answer.nodes) - 1
-    every_run = {f"run {runs[r]}": _mask(fitted, r, 2) for r in used if several}
-    every_probe = {f"probe {name}": _mask(fitted, p, 1) for p, name in enumerate(names) if pairs}
+    every_run = {f"run {runs[r]}": fitted & (np.arange(len(runs)) == r) for r in used if several}
+    every_probe = {
+        f"probe {name}": fitted & (np.arange(len(names)) == p)[:, None] for p, name in enumerate(names) if pairs
+    }
     of_runs, of_probes = (
         {name: mask for name, mask in masks.items() if linear.suffices_without(mask)}
         for masks in (every_run, every_probe)
@@ -119,14 +121,6 @@ def gather(
         growth=find_growth(measurement, answer, identified, uncertainty),
         outcome=outcome,
     ), linear
-
-
-def _mask(fitted: np.ndarray, place: int, axis: int) -> np.ndarray:
-    """The fitted readings (S, P, R) of one run or probe."""
-    alone = np.zeros_like(fitted)
-    chosen = (slice(None),) * axis + (place,)
-    alone[chosen] = fitted[chosen]
-    return alone
 
 
 def find_growth(

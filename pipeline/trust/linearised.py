@@ -121,12 +121,9 @@ def linearise(
     columns = np.zeros((*data.displacement.shape, int(kept.sum()) + 1), dtype=complex)
     for runs, block in zip(problem.readings.runs, problem.columns_of_blocks(weights), strict=True):
         columns[:, :, runs] = block[0].numpy()[..., np.append(kept, True)] / np.sqrt(2.0)
-    by_number = uncertainty.sensitivity(identified, data.speeds, data.operating)  # (B, S, 8, A (K + L) + Th)
-    count, (n_active, n_features) = by_number.shape[-1], problem.kept.shape
-    local = np.arange(n_features + uncertainty.n_local) >= n_features
-    outer = ~np.append(np.tile(local, n_active), np.zeros(count - n_active * len(local), dtype=bool))
+    by_number = measurement.unknowns.expand_slopes(problem.unknown_slopes(weights)[0])  # (B, S, 8, A K + Th)
     coefficients = np.zeros((*by_number.shape[:3], len(kept)))
-    coefficients[..., : problem.places.numbers.stop] = by_number[..., outer]
+    coefficients[..., : problem.places.numbers.stop] = by_number
     prior = problem.prior.information().numpy()[np.ix_(kept, kept)]
     return LinearisedFit(-columns[..., -1], columns[..., :-1], coefficients[..., kept], prior, fitted)
 

@@ -18,7 +18,7 @@ from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import TrainedNetworks
+from pipeline.identification.trained_network import TrainedNetworks, keep_all
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
@@ -65,7 +65,9 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     known = Prior(torch.eye(size, dtype=torch.float64)[-1:], torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
     rows = torch.randn(5, 3 * len(fitted.active), generator=generator, dtype=torch.float64)
     functions, nodes = Prior(rows, rows[:, 0]), torch.linspace(-1, 1, 3, dtype=torch.float64)[:, None]
-    problem = weighed.of_kind(TrainedNetworks, inputs=inputs, known=known, nodes=nodes, functions=functions)
+    problem = weighed.of_kind(
+        TrainedNetworks, inputs=inputs, known=known, nodes=nodes, functions=functions, kept=keep_all(model)
+    )
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
     whole = torch.autograd.functional.jacobian(problem.rows, numbers)
