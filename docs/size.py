@@ -22,7 +22,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1677,
     "laws": 487,
-    "rotor": 693,
+    "rotor": 686,
     "data": 1114,
     "sweep": 249,
     "ingest": 1460,
@@ -36,22 +36,22 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2485,
-    "tracking": 359,
-    "stages": 1196,
+    "reporting": 2473,
+    "tracking": 406,
+    "stages": 1187,
     "beside the rooms": 529,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18116, 14500),
-    "files": (265, 250),
+    "statements of pipeline/": (18085, 14500),
+    "files": (266, 250),
     "classes": (323, 260),
-    "is None, is not None": (341, 420),
+    "is None, is not None": (342, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12904, 13000),
+    "statements of tests/": (12920, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),

@@ -95,8 +95,9 @@ def _remark(row: Mapping[str, Any]) -> str:
         "inconsistent": ("no unbalance explains it", "chance"),
         "contradicted": ("contradicts its weights", "label_chance"),
     }
-    said = (f"{text} ({write_number(row[chance], digits=1)})" for key, (text, chance) in remarks.items() if row[key])
-    return ", ".join(said)
+    return ", ".join(
+        f"{text} ({write_number(row[chance], digits=1)})" for key, (text, chance) in remarks.items() if row[key]
+    )
 
 
 def describe_sheet(
@@ -204,8 +205,7 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str, most: i
     """Amplitudes before and after, of more than ``most`` speeds so many that are evenly spread."""
     read = [row for row in rows if row["before"] is not None]
     speeds = sorted({row["speed_rpm"] for row in read})
-    every = max(1, -(-len(speeds) // most))
-    shown = speeds[::-every]
+    shown = speeds[:: -max(1, -(-len(speeds) // most))]
     table(
         "vibration, zero-to-peak as the recordings have it (+- 95 % of one record)",
         ["probe", "rpm", f"before, {unit}", f"after, {unit}"],
@@ -265,6 +265,7 @@ def tabulate_predicted(
         table_of[f"{records.probes[p]}_circle"] = circle[:, p]
         if measured.any():
             table_of[f"{real}_off"], table_of[f"{imaginary}_off"] = off[:, p].real, off[:, p].imag
-            inside = [int(w) if t else None for w, t in zip(predicted.within[:, p], measured, strict=True)]
-            table_of[f"{records.probes[p]}_within_95"] = np.array(inside, dtype=object)
+            table_of[f"{records.probes[p]}_within_95"] = np.array(
+                [int(w) if t else None for w, t in zip(predicted.within[:, p], measured, strict=True)], dtype=object
+            )
     return table_of

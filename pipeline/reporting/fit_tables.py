@@ -18,7 +18,7 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.console import table
+from pipeline.reporting.console import say, table
 from pipeline.rotor.parameters import UNITS
 from pipeline.trust.misfit import describe_held_out, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number
@@ -46,7 +46,6 @@ def make_error_table(
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
             share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
-            before = beside and beside[str(node)][name]["mean_error_percent"]
             rows.append(
                 {
                     "bearing_node": node,
@@ -54,7 +53,7 @@ def make_error_table(
                     "modelled": shown.modelled[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
-                    "least_squares_mean_error_percent": before,
+                    "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
                     "median_std_percent": float(100 * share),
                     "verdict": verdicts.get((node, name)),
                 }
@@ -246,9 +245,12 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
     return numbers
 
 
-def print_numbers(name: str, numbers: Sequence[EngineersNumber]) -> None:
-    """A row a number; nothing of a fit without bearing laws."""
-    table(*tabulate_numbers(f"{name}: numbers of the bearing laws (+- standard deviation)", numbers))
+def print_laws(config: Config, quality: Mapping[str, Any]) -> None:
+    """A row a number, and what speaks for and against the laws; nothing of a fit without bearing laws."""
+    caption = f"{config.name}: numbers of the bearing laws (+- standard deviation)"
+    table(*tabulate_numbers(caption, list_numbers(quality.get("physical_numbers", {}), config)))
+    for sentence in describe_law(quality, config.model.kind):
+        say(f"{config.name}: {sentence}")
 
 
 def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:

@@ -1,19 +1,18 @@
 """The one module that imports ROSS: configuration in, matrices and bearing tables out.
 
-``import ross`` takes seconds and prints at C level, so it happens on first use, with file descriptor 1
-pointed elsewhere.
+``import ross`` takes seconds, so it happens on first use.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -30,26 +29,16 @@ _LATERAL = (0, 1, 3, 4)
 """x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
 
 
-@contextmanager
-def _quiet_stdout() -> Iterator[None]:
-    sys.stdout.flush()
-    saved = os.dup(1)
-    sink = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(sink, 1)
-        yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(sink)
-
-
 @cache
 def ross() -> Any:
-    """The module ``ross``, imported in silence."""
-    with _quiet_stdout(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ROSS and its fluid-property packages warn about optional parts
+    """The module ``ross``. Its package of fluids serves gas seals alone, takes half of its time and prints at C level:
+    it is imported at its first use."""
+    sys.modules["ccp"] = fluids = ModuleType("ccp")
+    vars(fluids)["__getattr__"] = lambda name: getattr(import_module("ccp"), name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ROSS warns about optional parts
         import ross as module
+    del sys.modules["ccp"]
     return module
 
 

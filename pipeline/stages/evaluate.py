@@ -23,13 +23,11 @@ from pipeline.identification.identified import Answer
 from pipeline.reporting.coefficient_figures import Coefficients, draw_coefficients
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.fit_tables import (
-    describe_law,
     describe_quality,
     describe_verdicts,
-    list_numbers,
     make_error_table,
     print_error_table,
-    print_numbers,
+    print_laws,
 )
 from pipeline.reporting.training import draw_history
 from pipeline.stages.analysis import Analysis
@@ -78,9 +76,7 @@ def run(analysis: Analysis) -> StageOutput:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
-    print_numbers(config.name, list_numbers(quality.get("physical_numbers", {}), config))
-    for text in describe_law(quality, config.model.kind):
-        say(f"{config.name}: {text}")
+    print_laws(config, quality)
     if "physical_numbers" in quality:
         metrics["physical_numbers"] = judge_numbers(quality["physical_numbers"], config.machine)
     elsewhere = model_unmeasured(config, answer.table.speeds)

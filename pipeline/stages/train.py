@@ -18,11 +18,9 @@ from pipeline.identification.uncertainty import save_uncertainty
 from pipeline.problem.determination import Deviations, summarize_determined
 from pipeline.reporting.console import say, table, training_progress, warn
 from pipeline.reporting.fit_tables import (
-    describe_law,
     describe_verdicts,
-    list_numbers,
     list_parameters,
-    print_numbers,
+    print_laws,
     tabulate_bad_points,
     tabulate_parameters,
     tabulate_unbalance,
@@ -127,9 +125,7 @@ def _report(analysis: Analysis, fitted: Fit) -> None:
     table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):
         say(f"{config.name}: {untold} usual tolerances were fitted and moved less than that, in 'model_parameters.csv'")
-    print_numbers(config.name, list_numbers(summary.get("physical_numbers", {}), config))
-    for text in describe_law(summary, config.model.kind):
-        say(f"{config.name}: {text}")
+    print_laws(config, summary)
     misfit = measure_misfit(summary["fit"]) if "fit" in summary else None
     # NaN compares false.
     if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:

@@ -26,8 +26,9 @@ class CoefficientPredictor(PythonModel):
         """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_identified`."""
         from pipeline.tracking.model import SPEED, read_conditions, tabulate_identified
 
-        operating = read_conditions(self._model, model_input)
-        return tabulate_identified(self._model, model_input[SPEED].to_numpy(), operating)
+        return tabulate_identified(
+            self._model, model_input[SPEED].to_numpy(), read_conditions(self._model, model_input)
+        )
 
 
 set_model(CoefficientPredictor())

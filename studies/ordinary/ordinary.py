@@ -3,9 +3,9 @@
     python studies/ordinary/ordinary.py output=FOLDER [seeds=0-11] [workers=2] [cases=NAME,...]
 
 Each machine is written as its user has it: a machine file that states rotor and runs, and two tables of vibration and
-excitation. `stage=[diagnose,train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong reaches it.
-Then, and only then, its files are held against the real coefficients. Seeds 0 to 11 are there to choose a method by;
-others judge it. A machine that is done is not done again; the summary is `ordinary.json`.
+excitation. `stage=[diagnose,train,verdict]` reads them with nothing stated beside; nothing of what is silently wrong
+reaches it. Then, and only then, its files are held against the real coefficients. Seeds 0 to 11 are there to choose a
+method by; others judge it. A machine that is done is not done again; the summary is `ordinary.json`.
 
 What is counted, pointwise over the speed: *within* is the share of speeds at which the real coefficient lies inside the
 exported 95 % band; a machine's figure is the mean over its sixteen coefficients. *Half width* and *error* are those of
@@ -69,7 +69,13 @@ def write_user_files(folder: Path, drawn: Drawn, noise: float, seed: int) -> Bea
 def identify(folder: Path) -> str:
     """By the command; its last line where it refuses, else nothing."""
     answer = folder / "answer"
-    command = [sys.executable, "-m", "pipeline", "stage=[diagnose,train,verdict]", f"machine.file={folder / 'machine.yaml'}"]
+    command = [
+        sys.executable,
+        "-m",
+        "pipeline",
+        "stage=[diagnose,train,verdict]",
+        f"machine.file={folder / 'machine.yaml'}",
+    ]
     ended = subprocess.run(
         [*command, f"output={answer}", "tracking=none", "threads=1"], capture_output=True, text=True, check=False
     )
