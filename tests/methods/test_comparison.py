@@ -59,6 +59,8 @@ LONG = ("kriging", "critical_speeds", "paper", "paper_scaling", "paper_logarithm
 """Methods that model many machines first, take thousands of steps, or start from many guesses."""
 # The paper's residual with a part of the improved one keeps what both keep.
 WHOLE = tuple(name for name in METHOD_NAMES if name not in ("paper_scaling", "paper_logarithm", "paper_second_order"))
+# The paper's algorithm takes a minute a data set.
+BY_DAY = [pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper")) for name in WHOLE]
 
 
 @pytest.mark.parametrize(
@@ -70,7 +72,7 @@ def test_the_right_answer_on_clean_data(method: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", WHOLE)
+@pytest.mark.parametrize("method", BY_DAY)
 def test_the_error_grows_with_the_noise(method: str) -> None:
     """In proportion, over the mean of a few data sets; by half where the method's own error is not small beside it."""
     good = GOOD[method]
@@ -88,7 +90,7 @@ def test_the_error_grows_with_the_noise(method: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", WHOLE)
+@pytest.mark.parametrize("method", BY_DAY)
 def test_the_same_bits_from_the_same_seed(method: str) -> None:
     """With noise, where iterations are longest."""
     good = GOOD[method]
