@@ -236,7 +236,7 @@ def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
         "    assert not track(StageRecord('x', 'train', 1.0, 2.0, {}, {}, {'error': 0.5}), settings)\n"
     )
     (tmp_path / "stage.py").write_text(command)
-    both = "\"$0\" stage.py && cd folder && \"$0\" ../stage.py; exit 3"
+    both = '"$0" stage.py && cd folder && "$0" ../stage.py; exit 3'
     (tmp_path / "folder").mkdir()
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     shared = [sys.executable, "-m", "pipeline.tracking", "bash", "-c", both, sys.executable]
