@@ -101,8 +101,10 @@ def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: flo
     content = load(
         ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, memory + times * path.stat().st_size)
     )
-    texts = json.loads(content.pop("#").tobytes())
-    return content | {name: np.array(values, dtype=object) for name, values in texts.items()}
+    names, texts = json.loads(content["#"].tobytes())  # safetensors gives them in any order
+    return {name: content[name] for name in names} | {
+        name: np.array(values, dtype=object) for name, values in texts.items()
+    }
 
 
 def pack_old(path: str) -> bytes:
@@ -112,7 +114,7 @@ def pack_old(path: str) -> bytes:
 
     every = dict(_walk(loadmat(path, simplify_cells=True)))
     texts = {name: every.pop(name).tolist() for name in list(every) if every[name].dtype.kind in "UO"}
-    every["#"] = np.frombuffer(json.dumps(texts, default=str).encode(), np.uint8)
+    every["#"] = np.frombuffer(json.dumps([list(every), texts], default=str).encode(), np.uint8)
     return save({name: np.ascontiguousarray(values) for name, values in every.items()})  # it takes the rows as they lie
 
 
