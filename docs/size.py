@@ -22,7 +22,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1677,
     "laws": 487,
-    "rotor": 686,
+    "rotor": 687,
     "data": 1114,
     "sweep": 249,
     "ingest": 1460,
@@ -36,15 +36,15 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2473,
-    "tracking": 406,
-    "stages": 1187,
+    "reporting": 2488,
+    "tracking": 411,
+    "stages": 1194,
     "beside the rooms": 529,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18085, 14500),
+    "statements of pipeline/": (18113, 14500),
     "files": (266, 250),
     "classes": (323, 260),
     "is None, is not None": (342, 420),

@@ -95,9 +95,8 @@ def _remark(row: Mapping[str, Any]) -> str:
         "inconsistent": ("no unbalance explains it", "chance"),
         "contradicted": ("contradicts its weights", "label_chance"),
     }
-    return ", ".join(
-        f"{text} ({write_number(row[chance], digits=1)})" for key, (text, chance) in remarks.items() if row[key]
-    )
+    said = (f"{text} ({write_number(row[chance], digits=1)})" for key, (text, chance) in remarks.items() if row[key])
+    return ", ".join(said)
 
 
 def describe_sheet(
@@ -205,7 +204,8 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str, most: i
     """Amplitudes before and after, of more than ``most`` speeds so many that are evenly spread."""
     read = [row for row in rows if row["before"] is not None]
     speeds = sorted({row["speed_rpm"] for row in read})
-    shown = speeds[:: -max(1, -(-len(speeds) // most))]
+    every = max(1, -(-len(speeds) // most))
+    shown = speeds[::-every]
     table(
         "vibration, zero-to-peak as the recordings have it (+- 95 % of one record)",
         ["probe", "rpm", f"before, {unit}", f"after, {unit}"],
@@ -265,7 +265,6 @@ def tabulate_predicted(
         table_of[f"{records.probes[p]}_circle"] = circle[:, p]
         if measured.any():
             table_of[f"{real}_off"], table_of[f"{imaginary}_off"] = off[:, p].real, off[:, p].imag
-            table_of[f"{records.probes[p]}_within_95"] = np.array(
-                [int(w) if t else None for w, t in zip(predicted.within[:, p], measured, strict=True)], dtype=object
-            )
+            inside = [int(w) if t else None for w, t in zip(predicted.within[:, p], measured, strict=True)]
+            table_of[f"{records.probes[p]}_within_95"] = np.array(inside, dtype=object)
     return table_of

@@ -105,11 +105,12 @@ class Coefficients:
         drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
         if lost.all():
             drawn = Curve(NOTHING, NOTHING, label, colour, filled=True)  # with no marker, its key is the band
+        key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(band).any() else []
         return [
             Curve(self.rpm, values, "", colour, "none", band=band),
             Curve(self.rpm, scale * self.modelled[b, :, c], "modelled", BLACK, width=1.2),
             replace(drawn, marker="o" if len(values) == 1 else drawn.marker),
-            *([Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(band).any() else []),
+            *key,
         ]
 
     def measure_errors(self, b: int, name: str) -> np.ndarray:

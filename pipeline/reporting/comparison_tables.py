@@ -263,10 +263,9 @@ def _summarize(answered: Sequence[Result], node: str | None, name: str | None) -
     """Over the data sets; None for what none of them has."""
     import pandas as pd
 
+    answers = [each[name] for r in answered for at, each in r.coefficients.items() if at == node and name in each]
     table = pd.DataFrame(
-        [each[name] for r in answered for at, each in r.coefficients.items() if at == node and name in each],
-        columns=["median_error", "p95_error", "median_deviation", "within_interval"],
-        dtype=float,
+        answers, columns=["median_error", "p95_error", "median_deviation", "within_interval"], dtype=float
     )
     errors = table["median_error"]
     numbers = {f"median_error_percent_{key}": getattr(errors, key)() for key in ("std", "median", "min", "max")}

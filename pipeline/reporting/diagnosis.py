@@ -75,21 +75,20 @@ def tabulate_diagnosis(
     for report in diagnosis.reports:
         for node in report.nodes:
             names, std = diagnosis.relative(node), diagnosis.deviation[diagnosis.answer.nodes.index(node)]
-            rows += pd.DataFrame(
-                {
-                    "bearing_node": node,
-                    "speed_rpm": to_rpm(report.speeds),
-                    **list_columns(operating),
-                    "unknowns": np.full(len(report.speeds), len(report.unknowns)),
-                    "rank": report.rank,
-                    "condition_number": report.condition,
-                    "orbit_rank": report.orbit_rank,
-                    "orbit_condition_number": report.orbit_condition,
-                    **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
-                    **{f"{name}_std": std[:, COEFFICIENTS.index(name)] for name in names},
-                    **{f"{each.name}_verdict": each.verdict.value for each in judged if each.node == node},
-                }
-            ).to_dict("records")
+            columns = {
+                "bearing_node": node,
+                "speed_rpm": to_rpm(report.speeds),
+                **list_columns(operating),
+                "unknowns": np.full(len(report.speeds), len(report.unknowns)),
+                "rank": report.rank,
+                "condition_number": report.condition,
+                "orbit_rank": report.orbit_rank,
+                "orbit_condition_number": report.orbit_condition,
+                **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
+                **{f"{name}_std": std[:, COEFFICIENTS.index(name)] for name in names},
+                **{f"{each.name}_verdict": each.verdict.value for each in judged if each.node == node},
+            }
+            rows += pd.DataFrame(columns).to_dict("records")
     return rows
 
 

@@ -46,6 +46,7 @@ def make_error_table(
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
             share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+            before = beside and beside[str(node)][name]["mean_error_percent"]
             rows.append(
                 {
                     "bearing_node": node,
@@ -53,7 +54,7 @@ def make_error_table(
                     "modelled": shown.modelled[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
-                    "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
+                    "least_squares_mean_error_percent": before,
                     "median_std_percent": float(100 * share),
                     "verdict": verdicts.get((node, name)),
                 }

@@ -83,7 +83,8 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
             left, below = _measure_margins(panel)
             lift = 0.42 if panel.round else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)  # for the angles around it
             box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
-            _make_room(drawing, _draw_panel(drawing, panel, box / [width, height, width, height]), i / columns)
+            drawn = _draw_panel(drawing, panel, box / [width, height, width, height])
+            _make_room(drawing, drawn, i / columns)
     if lines:
         drawing.text(0.01, 1 - 0.05 / height, "\n".join(lines), va="top", fontsize=7)
     if legend:

@@ -52,9 +52,10 @@ Trace = tuple[int, np.ndarray, dict[str, Any]]
 
 def choose_looks(runs: Sequence[str], baseline: str | None = None) -> list[dict[str, Any]]:
     """Colour, dash and label of each run; the baseline is thin and grey."""
+    others = [run for run in runs if run != baseline]
     looks: dict[str, dict[str, Any]] = {
         run: {"colour": LOOKS[i % len(LOOKS)][0], "dash": DASHES[i % len(DASHES)], "label": run}
-        for i, run in enumerate([run for run in runs if run != baseline])
+        for i, run in enumerate(others)
     }
     grey = {"colour": GREY, "dash": "dot", "width": 1.2, "label": f"{baseline} (baseline)"}
     return [looks.get(run, grey) for run in runs]

@@ -243,9 +243,8 @@ def _compare(report: StudyReport) -> str:
         rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
     if (series := report.chebyshev) is not None:
         cells = [_show(report.chebyshev_errors[name]) for name in names]
-        rows.append(
-            [f"Chebyshev series, degree {series.degree}", write_number(series.held_out_loss, digits=3), *cells, ""]
-        )
+        loss = write_number(series.held_out_loss, digits=3)
+        rows.append([f"Chebyshev series, degree {series.degree}", loss, *cells, ""])
     caption = f"Median over {len(report.config.tuning.seeds)} seeds (lowest to highest)"
     if names:
         caption += "; errors are the mean over speed of the worse bearing, evaluated after the choice"

@@ -80,8 +80,9 @@ def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, besid
     rpm, (measured, predicted) = content.rpm[at], (MICROMETRES * np.abs(vector[at, probe]) for vector in vectors)
     label = "measured (modelled data)" if fit.coefficients.compared else "measured"
     fitted = "not fitted" if content.held_out(r) else "fitted"
+    title = f"run {data.runs[r]} ({fitted}), {name_channel(data.channels[probe])}{beside}"
     return Panel(
-        f"run {data.runs[r]} ({fitted}), {name_channel(data.channels[probe])}{beside}",
+        title,
         RPM,
         [
             Axes(

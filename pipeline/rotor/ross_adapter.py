@@ -35,10 +35,12 @@ def ross() -> Any:
     it is imported at its first use."""
     sys.modules["ccp"] = fluids = ModuleType("ccp")
     vars(fluids)["__getattr__"] = lambda name: getattr(import_module("ccp"), name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ROSS warns about optional parts
-        import ross as module
-    del sys.modules["ccp"]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # ROSS warns about optional parts
+            import ross as module
+    finally:
+        del sys.modules["ccp"]
     return module
 
 

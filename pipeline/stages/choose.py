@@ -27,9 +27,8 @@ def run(analysis: Analysis) -> StageOutput:
     use_threads(config)
     setup = setup_of(config)
     kinds = list(_MODELS) if measurement.laws else ["network"]
-    judged = judge_models(
-        measurement, {kind: setup_model(setup, kind) for kind in kinds}, lambda what: say(f"{config.name}: fits {what}")
-    )
+    setups = {kind: setup_model(setup, kind) for kind in kinds}
+    judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)
     _print(config, judged, chosen)
     folder = analysis.files.folder
@@ -51,9 +50,10 @@ def run(analysis: Analysis) -> StageOutput:
 
 def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
     labels = list(judged[0].held_out)
+    header = ["model", "probability", "Akaike", "numbers", *(f"without {label}" for label in labels)]
     table(
         f"{config.name}: models, and the mean square of readings that were not fitted (1 is noise)",
-        ["model", "probability", "Akaike", "numbers", *(f"without {label}" for label in labels)],
+        header,
         [
             [
                 candidate.name,

@@ -45,13 +45,12 @@ def run(analysis: Analysis) -> StageOutput:
             f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady "
             "vibration can't be measured"
         )
+    stability = {
+        "largest_growth": margin.largest_growth,
+        "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+    }
     return StageOutput(
-        metrics={
-            "stability": {
-                "largest_growth": margin.largest_growth,
-                "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-            }
-        },
+        metrics={"stability": stability},
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=written,
     )

@@ -33,9 +33,8 @@ def run(analysis: Analysis) -> StageOutput:
     vectors = {name for pair in pairs for name in pair}
     text = recordings.csv
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
-    table = tabulate_predicted(
-        read_table(Path(file), kept, text=text), records, predicted, SourceUnits(recordings), pairs, method
-    )
+    source = SourceUnits(recordings)
+    table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
     path = write_table(analysis.files.folder / "predicted_records.csv", table)
     measured, metrics = predicted.measured, {}
     message = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"

@@ -32,11 +32,10 @@ def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
     from pipeline.write_numbers import write_value
 
     shown = [name for name in COLUMNS if any(name in job_summary for job_summary in summaries.values())]
-    table(
-        "the jobs of this command",
-        ["job", *(name.replace("_", " ") for name in shown)],
-        [[job, *(write_value(job_summary.get(name, "-")) for name in shown)] for job, job_summary in summaries.items()],
-    )
+    rows = [
+        [job, *(write_value(job_summary.get(name, "-")) for name in shown)] for job, job_summary in summaries.items()
+    ]
+    table("the jobs of this command", ["job", *(name.replace("_", " ") for name in shown)], rows)
     folder = Path(os.path.commonpath(list(jobs.values())))
     columns: dict[str, list[Any]] = {"job": list(summaries), "folder": list(jobs.values())}
     columns |= {name: [job_summary.get(name) for job_summary in summaries.values()] for name in shown}

@@ -61,9 +61,8 @@ def run(analysis: Analysis) -> StageOutput:
     summed = superpose_unseen(config.machine, measurement, twin)
     if summed is not None and "modelled" in vibration:
         truth = vibration["modelled"].displacement
-        summary["influence_coefficients"] = {
-            "error_percent": {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
-        }
+        off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
+        summary["influence_coefficients"] = {"error_percent": off}
     print_twin(config, summary, vibration, at, twin.operating)
     _say_superposed(config, summed, summary, at)
     work = analysis.files

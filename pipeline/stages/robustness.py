@@ -65,9 +65,10 @@ def run(analysis: Analysis) -> StageOutput:
         write_table(work.folder / "robustness.csv", rows),
         draw_robustness(work.figure("robustness"), training, trajectory, config.robustness.over, rows, modelled),
     ]
+    exit_code = 130 if Outcome.INTERRUPTED in minimum.outcomes else 0
     return StageOutput(
         summary | {"seconds": minimum.seconds},
         {"data_fingerprint": measurement.dataset.fingerprint},
         written,
-        exit_code=130 if Outcome.INTERRUPTED in minimum.outcomes else 0,
+        exit_code=exit_code,
     )

@@ -1,13 +1,14 @@
 """``python -m pipeline.tracking COMMAND ...``: run a command whose stages share one import of MLflow.
 
 Each stage of `dvc repro` is a process of its own, and so is its recorder, which works 4 s to import MLflow and 0.5 s to
-log. Here MLflow is imported once, and each recorder is a fork of that process. Without forks, the command runs as ever.
+log. Here MLflow is imported once, and each recorder is a fork of that process (Linux, macOS).
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -17,14 +18,16 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
+from pipeline.errors import MISTAKE
 from pipeline.tracking.tracker import SHARED, become_silent, import_mlflow, serve
 
 
 def main(command: Sequence[str]) -> int:
     """Run the command, and return its exit code."""
-    if not command:
-        print("usage: python -m pipeline.tracking COMMAND ..., such as python -m pipeline.tracking dvc repro")
-        return 2
+    if not command or not shutil.which(command[0]):
+        came = f"got '{command[0]}'" if command else "there is none"
+        print(f"python -m pipeline.tracking must have a command to run, such as dvc repro, but {came}", file=sys.stderr)
+        return MISTAKE
     with tempfile.TemporaryDirectory(prefix="recorder-") as folder:
         address = str(Path(folder, "socket"))
         # Stages that come while MLflow is being imported wait in the line.

@@ -142,6 +142,5 @@ def tabulate_identified(
 
     nodes, speeds = model.bearing_nodes, np.asarray(speed_rpm, dtype=float) * RAD_S_PER_RPM
     known = BearingTable(nodes, speeds, np.zeros((len(nodes), len(speeds), len(COEFFICIENTS))), operating or {})
-    return pd.DataFrame(
-        tabulate_coefficients(model.table(known), dict(zip(nodes, model.unknowns.by_bearing, strict=True)))
-    )
+    named = dict(zip(nodes, model.unknowns.by_bearing, strict=True))
+    return pd.DataFrame(tabulate_coefficients(model.table(known), named))

@@ -26,9 +26,8 @@ class CoefficientPredictor(PythonModel):
         """The coefficients at the speeds; see :func:`pipeline.tracking.model.tabulate_identified`."""
         from pipeline.tracking.model import SPEED, read_conditions, tabulate_identified
 
-        return tabulate_identified(
-            self._model, model_input[SPEED].to_numpy(), read_conditions(self._model, model_input)
-        )
+        operating = read_conditions(self._model, model_input)
+        return tabulate_identified(self._model, model_input[SPEED].to_numpy(), operating)
 
 
 set_model(CoefficientPredictor())

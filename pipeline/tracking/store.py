@@ -76,7 +76,8 @@ def open_experiment(settings: TrackingConfig, name: str) -> tuple[MlflowClient, 
             )
         path = Path(database).absolute()
         prepare_database(path, settings.timeout_seconds)
-        return _open(f"{_SQLITE}{path}", name, f"{_locate_artifacts(path)}/{clean_name(name).replace('/', '_')}")
+        location = f"{_locate_artifacts(path)}/{clean_name(name).replace('/', '_')}"
+        return _open(f"{_SQLITE}{path}", name, location)
     # Neither the look-up of a host's name nor MLflow's retries for a database heed a time limit of their own.
     return run_within(settings.timeout_seconds, lambda: _open(settings.uri, name, None))
 

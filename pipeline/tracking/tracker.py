@@ -311,9 +311,8 @@ def _log_data(client: MlflowClient, run_id: str, record: StageRecord) -> None:
 
 def _log_child(client: MlflowClient, run: Run, record: StageRecord, child: StageRecord) -> None:
     """Log a run below ``run`` in few requests, since a study has many."""
-    below = _begin(
-        client, run.info.experiment_id, child, _stage_tags(record) | {"mlflow.parentRunId": run.info.run_id}
-    ).info.run_id
+    tags = _stage_tags(record) | {"mlflow.parentRunId": run.info.run_id}
+    below = _begin(client, run.info.experiment_id, child, tags).info.run_id
     final, _ = collect_values(child.metrics, child.ended)
     history, _ = collect_history(child.history, child.started, child.ended)
     _log_values(client, below, final + history, child.parameters)

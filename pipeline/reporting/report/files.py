@@ -307,9 +307,8 @@ def _place_figure(pdf: Any, figure: Figure, dots_an_inch: int = 110) -> None:
     """Rows of panels one after the other, so that a page may end between them; the legend above the first."""
     columns = 1 if any(panel.wide for panel in figure.panels) else 2
     for first in range(0, len(figure.panels), columns):
-        image, height = draw_image(
-            figure.panels[first : first + columns], figure.legend() if first == 0 else [], columns, dots_an_inch
-        )
+        legend = figure.legend() if first == 0 else []
+        image, height = draw_image(figure.panels[first : first + columns], legend, columns, dots_an_inch)
         shown = _WIDTH * height / (2 * PANEL_WIDTH)
         caption = 10.0 if first + columns >= len(figure.panels) else 0.0  # mm: it stays below its last row
         if pdf.will_page_break(shown + caption):

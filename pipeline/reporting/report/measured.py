@@ -167,14 +167,13 @@ def describe_measured(content: ReportContent) -> list[Block]:
         "probes": len(content.probes) - len(content.shown_probes),
         "runs": len(content.dataset.runs) - len(content.shown_runs),
     }
+    sentences = [
+        "All figures here show readings, not the model.",
+        *([] if content.baseline() is None else [subtracted]),
+        *(f"{number} further {name} are not shown." for name, number in left.items() if number),
+    ]
     return [
-        " ".join(
-            [
-                "All figures here show readings, not the model.",
-                *([] if content.baseline() is None else [subtracted]),
-                *(f"{number} further {name} are not shown." for name, number in left.items() if number),
-            ]
-        ),
+        " ".join(sentences),
         *(
             Mark("warning", f"{note[:1].upper()}{note[1:]}.")
             for note in content.files.get("ingest", {}).get("notes", [])
