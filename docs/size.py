@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1460,
     "problem": 1689,
-    "identification": 2627,
+    "identification": 2635,
     "evaluation": 224,
     "twin": 480,
     "balance": 653,

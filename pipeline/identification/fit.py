@@ -167,25 +167,22 @@ class OutputErrorLoss:
         return diagnose_response(measurement, setup.constant, features)
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """The Cramer-Rao bound of the fit that will be made, at its linear start, for all functions of the model, with
-        residual unbalance, model parameters and usual tolerances. The fit drops superfluous functions, so it may know
-        more.
+        """The deviations of the fit that will be made, at its linear start, for all functions of the model
+        (:func:`pipeline.identification.uncertainty.expect_uncertainty`).
         """
-        from pipeline.identification.model_error import widen
         from pipeline.identification.output_error_start import prepare_output_error
+        from pipeline.identification.uncertainty import expect_uncertainty
 
         measurement = for_model(measurement, setup)
         solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
         if not measurement.laws and not (solvable and diagnosis.by_least_squares):
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
-        problem, unknowns = start.problem, measurement.unknowns
-        values = unknowns.from_active(problem.unknowns(start.weights)[0][0].numpy())
-        wider, weights = widen(problem, start.weights)
-        spread = unknowns.expand_deviation(unknowns.from_active(wider.unknown_deviation(weights)[0]))
+        model = start.problem.identified(start.weights[:1])
+        spread = expect_uncertainty(start).deviation(model, measurement.known.speeds, measurement.known.operating)
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
         kind = "bearing laws of few numbers" if measurement.laws else kind
-        return Deviations(problem.measurement.table(values), spread, kind)
+        return Deviations(model.table(measurement.known), spread, kind)
 
     def fit(
         self,

@@ -156,6 +156,11 @@ class Unfitted:
         return [name for k, name in enumerate(USUAL) if (self.kinds == k).any()]
 
 
+def none_unfitted(size: int) -> Unfitted:
+    """No tolerance but those among the ``size`` fitted weights."""
+    return Unfitted(np.zeros(0, dtype=np.int64), np.zeros((size, 0)), np.zeros((0, 0)))
+
+
 def widen(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, torch.Tensor]:
     """The problem with the tolerances among the model parameters, and its weights (1, 1, Z + T)."""
     import torch
@@ -177,7 +182,7 @@ def measure_tolerances(problem: OutputError, weights: torch.Tensor, places: np.n
     kinds = np.array([list(USUAL).index(tolerance.kind) for tolerance in tolerances], dtype=np.int64)
     moves = np.zeros((size, len(tolerances)))
     if not tolerances:
-        return Unfitted(kinds, moves, np.zeros((0, 0)))
+        return none_unfitted(size)
     wider, padded = widen(problem, weights)
     gradient, matrix = (array[0, 0].numpy() for array in wider.normal(padded))
     identity = np.eye(len(tolerances))

@@ -48,10 +48,7 @@ class OutputErrorFit:
     @property
     def identified(self) -> IdentifiedModel:
         """The coefficients."""
-        problem, measurement = self.problem, self.start.measurement
-        parameters, theta = problem.parameters(self.weights)[0], problem.theta(self.weights)[0]
-        nodes, laws = measurement.rotor.bearing_nodes, problem.measurement.laws
-        return IdentifiedModel(problem.model, measurement.unknowns, nodes, parameters, laws, theta)
+        return self.problem.identified(self.weights)
 
     def covariance(self) -> np.ndarray:
         """(Z, Z) of the weights: the inverse of the information, the Cramer-Rao bound of the parametrisation."""

@@ -41,6 +41,7 @@ from pipeline.identification.blocks import (
     select_active,
     slopes_by_weights,
 )
+from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
@@ -348,6 +349,12 @@ class OutputError(LeastSquares):
         """(G, Z, Z) inverse of the information at the weights (G, 1, Z); zero for those that are not fitted."""
         fitted = self.fitted().numpy()
         return np.asarray(invert(self.normal(weights)[1][:, 0]) * (fitted[:, None] & fitted))
+
+    def identified(self, weights: torch.Tensor) -> IdentifiedModel:
+        """The coefficients of ``weights`` (1, 1, Z) at any speed."""
+        measurement, parameters, theta = self.measurement, self.parameters(weights)[0], self.theta(weights)[0]
+        nodes = measurement.rotor.bearing_nodes
+        return IdentifiedModel(self.model, measurement.unknowns, nodes, parameters, measurement.laws, theta)
 
     def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""

@@ -22,11 +22,21 @@ from pipeline.files import write_beside
 from pipeline.identification.blocks import Places, law_term, select_active, slopes_by_weights
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
-from pipeline.identification.model_error import Unfitted, evaluate_local, measure_tolerances
+from pipeline.identification.model_error import (
+    Unfitted,
+    evaluate_local,
+    measure_tolerances,
+    none_unfitted,
+    widen,
+)
 from pipeline.identification.quality import Quality
 
 if TYPE_CHECKING:
+    import torch
+
     from pipeline.identification.output_error_fit import OutputErrorFit
+    from pipeline.identification.output_error_start import OutputErrorStart
+    from pipeline.identification.problem import OutputError
 
 UNCERTAINTY = "uncertainty.safetensors"
 
@@ -159,18 +169,34 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
     problem, error = fit.problem.scaled(quality.inflation**-0.5), fit.error(quality.inflation)
     unfitted = measure_tolerances(problem, fit.weights, error.fitted, len(error.matrix))
+    return _state(problem, fit.weights, error.matrix + unfitted.covariance(), error.n_local, unfitted)
+
+
+def expect_uncertainty(start: OutputErrorStart) -> Uncertainty:
+    """That of the fit that will be made, at its linear start: of noise, of tolerances as if they were fitted, and of
+    the kinds of bearings that are likely. The fit drops superfluous functions, so it may know more.
+    """
+    problem, weights = widen(start.problem, start.weights[:1])
+    covariance = problem.covariance(weights)[0]
+    covariance = start.searched.mix(covariance) if start.searched else covariance
+    return _state(problem, weights, covariance, 0, none_unfitted(len(covariance)))
+
+
+def _state(
+    problem: OutputError, weights: torch.Tensor, covariance: np.ndarray, n_local: int, unfitted: Unfitted
+) -> Uncertainty:
     return Uncertainty(
         problem.basis.weights.numpy(),
         np.array(problem.active, dtype=np.int64).reshape(-1, 2),
-        error.matrix + unfitted.covariance(),
+        covariance,
         np.asarray((problem.precision * problem.kept).numpy()),
         (problem.functions.rows.numpy(), problem.functions.aims.numpy()),
-        np.asarray(problem.unbalance(fit.weights)[0].numpy()),
+        np.asarray(problem.unbalance(weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         np.array(problem.measurement.as_found, dtype=complex),
         problem.plane_scale,
-        problem.model_parameters(fit.weights)[0].numpy(),
-        error.n_local,
+        problem.model_parameters(weights)[0].numpy(),
+        n_local,
         unfitted,
     )
 
