@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.balance.linear_vibration import LinearVibration, circle_of
+from pipeline.balance.linear_vibration import LinearVibration, circle_of, judge_distance
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import SYNCHRONOUS
-from pipeline.errors import DataError
+from pipeline.errors import DataError, nearest
 from pipeline.ingest.records import Records
 from pipeline.ingest.tracks import format_rpm
 
@@ -83,6 +83,78 @@ def _gather_known(records: Records, names: Sequence[str], conditions: np.ndarray
         if len(given):
             known[c] = given[0]
     return known
+
+
+# --- another day -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OfDay(LinearVibration):
+    """A model of the vibration on another day, to which that day adds the same vector in every condition."""
+
+    model: LinearVibration
+    shift: np.ndarray  # (D,) m
+    spread: np.ndarray  # (D, D) m^2, covariance of the shift
+
+    def predict(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (C, D) m and covariance (C, D, D) m^2. The model's uncertainty counts in the shift, too: where both have
+        the same cause, that is too much."""
+        mean, covariance = self.model.predict(unbalance)
+        return mean + self.shift, covariance + self.spread
+
+    def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative (D, N) m/(kg m) by the weights at ``unbalance`` (N,), and the day's baseline (D,) m."""
+        slope, baseline = self.model.influence_at(unbalance)
+        return slope, baseline + self.shift
+
+
+def shift_to_day(records: Records, vibration: LinearVibration, reference: str | None) -> LinearVibration:
+    """The model on the day of the ``records``, as their condition ``reference`` shows it; as it is without one.
+
+    Raises DataError for a reference that is not among the records, or lacks a weight or a vector.
+    """
+    if not reference:
+        return vibration
+    conditions = average_records(records, vibration)
+    if reference not in conditions.names:
+        raise DataError(
+            f"the reference must be a condition of {records.source}, but got '{reference}': "
+            f"{nearest(reference, conditions.names)}"
+        )
+    only = conditions.without([name for name in conditions.names if name != reference])
+    if np.isnan(only.unbalance).any() or np.isnan(only.displacement).any():
+        raise DataError(
+            f"the reference '{reference}' must have its weights, and a vector of each probe at each speed, but "
+            f"{records.source} lacks some: complete its rows, or name another condition"
+        )
+    (mean,), (covariance,) = vibration.predict(only.unbalance)
+    (scatter,) = vibration.noise.covariance(only.counts)
+    return OfDay(
+        speeds=vibration.speeds,
+        channels=vibration.channels,
+        planes=vibration.planes,
+        noise=vibration.noise,
+        model=vibration,
+        shift=only.vectors[0] - mean,
+        spread=covariance + scatter,
+    )
+
+
+def judge_together(records: Records, vibration: LinearVibration) -> float:
+    """The chance that the mean of all conditions departs as far from what their weights make, if they belong to the
+    model's day; NaN where the table does not tell.
+
+    Conditions scatter by themselves, and have what is uncertain of the model in common.
+    """
+    conditions = average_records(records, vibration)
+    whole = ~(np.isnan(conditions.unbalance).any(axis=1) | np.isnan(conditions.vectors).any(axis=1))
+    if not whole.any():
+        return float("nan")
+    mean, covariance = vibration.predict(conditions.unbalance[whole])
+    noise, off = vibration.noise, (conditions.vectors[whole] - mean).mean(axis=0)
+    scatter = noise.covariance(conditions.counts[whole]).mean(axis=0) / whole.sum()
+    squared = float((off.conj() @ np.linalg.solve(covariance.mean(axis=0) + scatter, off)).real)
+    return judge_distance(squared / noise.stretch, len(off), noise.tail or noise.freedom - len(off) + 1)
 
 
 # --- predicted --------------------------------------------------------------------------------------

@@ -79,6 +79,7 @@ class BalanceConfig(Section):
     """
 
     records: str | None = None
+    reference: str | None = None
     condition: str | None = None
     remove: Literal["residual", "condition", "both"] = "residual"
     minimise: Literal["unbalance", "vibration"] = "unbalance"
@@ -89,10 +90,16 @@ class BalanceConfig(Section):
     def _named(self) -> Iterator[str]:
         if self.remove != "residual" and not self.condition:
             yield f"must name a condition where remove is {self.remove}, but condition is null"
+        if self.reference and not self.records:
+            yield f"must name records where reference is {self.reference}, but records is null"
 
 
 class PredictConfig(Section):
-    """``records``: a table whose known weights' vibration is predicted, by ``method`` or the first that there is."""
+    """``records``: a table whose known weights' vibration is predicted, by ``method`` or the first that there is.
+
+    ``reference`` is a condition among them that shows what their day adds.
+    """
 
     records: str | None = None
+    reference: str | None = None
     method: str | None = None

@@ -21,7 +21,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.balance_sheet import correct
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import prepare
-from pipeline.stages.vibration_models import list_missing, load_models, load_records
+from pipeline.stages.vibration_models import list_missing, load_models, load_records, follow_day
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -31,13 +31,17 @@ def run(analysis: Analysis) -> StageOutput:
     config = analysis.config
     measurement, work = prepare(analysis), analysis.files
     (fitted, fingerprint), file = load_models(analysis), config.balance.records
+    models = dict(fitted.models)
     source = SourceUnits(config.machine.recordings)
     method = fitted.pick(config.balance.method, "balance.method")
     planes = fitted.models[method].planes
     by_method: dict[str, Estimates] = {}
     rows: list[dict[str, Any]] = []
     for name, model in fitted.models.items():
-        readings = _read(config, file, model) if file else fitted.conditions
+        readings = fitted.conditions
+        if file:
+            readings, model = _read(config, file, model)
+            models[name] = model
         by_method[name] = estimate_all(readings, [model] * len(readings.names) if file else fitted.leave_each_out(name))
         tabled = tabulate_estimates(name, by_method[name], planes, source)
         print_estimates(config.name, name, tabled)
@@ -50,7 +54,7 @@ def run(analysis: Analysis) -> StageOutput:
     }
     if weights := config.machine.balance:
         readings = by_method[method].readings
-        summary["sheet"] = correct(config, weights, fitted.models[method], method, readings, measurement.rotor)
+        summary["sheet"] = correct(config, weights, models[method], method, readings, measurement.rotor)
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
@@ -61,7 +65,8 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(summary, {"data_fingerprint": fingerprint}, written)
 
 
-def _read(config: Config, file: str, model: LinearVibration) -> Conditions:
+def _read(config: Config, file: str, model: LinearVibration) -> tuple[Conditions, LinearVibration]:
+    """The conditions of ``file``, and the model on their day."""
     records = load_records(config, file, "balance.records")
     readings = average_records(records, model)
     missing = list_missing(records)
@@ -69,4 +74,4 @@ def _read(config: Config, file: str, model: LinearVibration) -> Conditions:
     measured = np.flatnonzero((~np.isnan(readings.displacement)).any(axis=(0, 2)))
     rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
-    return readings
+    return readings, follow_day(config.name, records, model, config.balance.reference)

@@ -14,7 +14,7 @@ from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.vibration_models import list_missing, load_models, load_records
+from pipeline.stages.vibration_models import list_missing, load_models, load_records, follow_day
 
 if TYPE_CHECKING:
     from pipeline.ingest.records import RecordsConfig
@@ -27,7 +27,8 @@ def run(analysis: Analysis) -> StageOutput:
     records = load_records(config, file, "predict.records")
     fitted, fingerprint = load_models(analysis)
     method = fitted.pick(config.predict.method, "predict.method")
-    predicted = predict_records(records, fitted.models[method])
+    vibration = follow_day(config.name, records, fitted.models[method], config.predict.reference)
+    predicted = predict_records(records, vibration)
     recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
     vectors = {name for pair in pairs for name in pair}
@@ -36,7 +37,8 @@ def run(analysis: Analysis) -> StageOutput:
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
     path = write_table(analysis.files.folder / "predicted_records.csv", table)
-    measured, metrics = predicted.measured, {}
+    others = np.array([condition != config.predict.reference for condition in records.conditions])
+    measured, metrics = predicted.measured & others[:, None], {}
     message = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
     if measured.any():
         off, size = predicted.off[measured], (predicted.mean + predicted.off)[measured]

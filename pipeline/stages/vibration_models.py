@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.balance.fitted import Fitted, fit_models
+from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
+from pipeline.balance.records import judge_together, shift_to_day
+from pipeline.balance.unbalance import Estimates
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.errors import ConfigError
 from pipeline.ingest.records import Records
-from pipeline.reporting.console import say
+from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import load_dataset, prepare, restore
 
@@ -55,3 +58,15 @@ def load_records(config: Config, file: str, key: str) -> Records:
 def list_missing(records: Records) -> Sequence[str]:
     """The probes that no record has a vector of."""
     return [name for p, name in enumerate(records.probes) if np.isnan(records.displacement[:, p]).all()]
+
+
+def follow_day(name: str, records: Records, model: LinearVibration, reference: str | None) -> LinearVibration:
+    """The model on the day of the ``records``; a warning where they depart together. Raises DataError as
+    :func:`pipeline.balance.records.shift_to_day`."""
+    chance = np.nan if reference else judge_together(records, model)
+    if chance < Estimates.RARE:
+        warn(
+            f"{name}: the records depart together from what their weights make (by chance in {chance:.1g} of tables), "
+            "as on another day: name a condition of theirs with known weights as reference"
+        )
+    return shift_to_day(records, model, reference)

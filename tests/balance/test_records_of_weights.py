@@ -11,7 +11,7 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.records import average_records, predict_records
+from pipeline.balance.records import average_records, judge_together, shift_to_day, predict_records
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.errors import DataError
 from pipeline.ingest.records import Records
@@ -106,6 +106,46 @@ def test_the_vibration_of_known_weights_and_its_bands() -> None:
     np.testing.assert_array_equal(blind.mean, predicted.mean)
     assert not blind.measured.any()
     assert not blind.within.any()
+
+
+def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
+    """A shift that all conditions share, of three deviations of each: few circles hold it, until one condition with
+    known weights shows it. Then the same bands hold what they say, for vibration and weights."""
+    rng, days = np.random.default_rng(8), 200
+    without, within, found = [], [], []
+    for _ in range(days):
+        unbalance = _weights(rng, 5)
+        records = _records(
+            unbalance, 3 * circular(rng, 1, SIZE) @ MACHINE.root.T + circular(rng, 5, SIZE) @ MACHINE.root.T, 1
+        )
+        day = shift_to_day(records, RIG, "C000")
+        without.append(judge_together(records, RIG))
+        within.append(predict_records(records, day).within[2:])
+        readings = average_records(records, day)
+        estimates = estimate_all(readings, [day] * 5)
+        found.append((np.abs(estimates.unbalance - unbalance) <= estimates.radius)[1:])
+    assert np.mean(np.array(without) < 0.01) > 0.9
+    assert 0.93 < np.mean(within) < 0.98
+    assert 0.93 < np.mean(found) < 0.98
+
+
+def test_records_of_the_same_day_are_seldom_called_those_of_another() -> None:
+    rng = np.random.default_rng(9)
+    tables = [_records(_weights(rng, 4), circular(rng, 4, SIZE) @ MACHINE.root.T, 1) for _ in range(400)]
+    chances = np.array([judge_together(records, RIG) for records in tables])
+    assert 0.06 < np.mean(chances < 0.1) < 0.14
+    assert np.isnan(judge_together(replace(tables[0], unbalance=np.full_like(tables[0].unbalance, np.nan)), RIG))
+
+
+def test_a_reference_must_be_there_and_whole() -> None:
+    records = _records(_weights(np.random.default_rng(10), 2))
+    with pytest.raises(DataError, match=r"must be a condition of 'given\.csv', but got 'C00': did you mean 'C00"):
+        shift_to_day(records, RIG, "C00")
+    lost = replace(records, displacement=np.where([True, False, True], records.displacement, np.nan))
+    unknown = replace(records, unbalance=np.full_like(records.unbalance, np.nan))
+    for lacking in (lost, unknown):
+        with pytest.raises(DataError, match="must have its weights, and a vector of each probe"):
+            shift_to_day(lacking, RIG, "C001")
 
 
 def test_the_experiments_own_conditions_are_readings() -> None:
