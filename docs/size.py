@@ -39,12 +39,12 @@ STATEMENTS = {
     "reporting": 2488,
     "tracking": 411,
     "stages": 1205,
-    "beside the rooms": 529,
+    "beside the rooms": 531,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18168, 14500),
+    "statements of pipeline/": (18170, 14500),
     "files": (266, 250),
     "classes": (323, 260),
     "is None, is not None": (342, 420),

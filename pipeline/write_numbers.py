@@ -32,8 +32,11 @@ def write_number(value: float | None, deviation: float | None = None, digits: in
 
 
 def write_percent(share: float, sign: str = "") -> str:
-    """A share in percent, two digits of it behind the ``sign``, such as ``+- 210 %``; or that it has no limit."""
-    return f"{sign}{write_number(100 * share, digits=2)} %" if math.isfinite(share) else "no limit"
+    """A share in percent, two digits of it behind the ``sign``, such as ``+- 210 %``; ``over 1000 %``, or that it has
+    no limit."""
+    if not math.isfinite(share):
+        return "no limit"
+    return f"{sign}{write_number(100 * share, digits=2)} %" if share <= 10 else "over 1000 %"
 
 
 _MOST_DIGITS, _MOST_DECIMALS = 5, 9

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.reporting.console import say, table, warn
 from pipeline.trust.judgement import AS_FELT
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_percent
 
 
 def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
@@ -36,12 +36,12 @@ def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
         [
             f"node {entry['node']} {entry['coefficient']}",
             entry["verdict"],
-            "" if np.isnan(band := _read_band(entry)) else write_number(band, digits=2),
+            "" if np.isnan(band := _read_band(entry)) else write_percent(band / 100),
             entry["reasons"][0],
         ]
         for entry in judged["verdicts"]
     ]
-    table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- % (95 %)", "why"], rows)
+    table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- (95 %)", "why"], rows)
     for entry in judged["bearings"]:
         say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
     whole = judged["machine"]

@@ -21,7 +21,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.balance_sheet import correct
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import prepare
-from pipeline.stages.vibration_models import list_missing, load_models, load_records, follow_day
+from pipeline.stages.vibration_models import follow_day, list_missing, load_models, load_records
 from pipeline.units import RAD_S_PER_RPM
 
 

@@ -14,7 +14,7 @@ from pipeline.reporting.balance_tables import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
-from pipeline.stages.vibration_models import list_missing, load_models, load_records, follow_day
+from pipeline.stages.vibration_models import follow_day, list_missing, load_models, load_records
 
 if TYPE_CHECKING:
     from pipeline.ingest.records import RecordsConfig
