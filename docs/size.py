@@ -31,23 +31,23 @@ STATEMENTS = {
     "evaluation": 224,
     "twin": 480,
     "balance": 653,
-    "trust": 674,
+    "trust": 686,
     "export": 201,
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2488,
+    "reporting": 2469,
     "tracking": 411,
-    "stages": 1194,
+    "stages": 1188,
     "beside the rooms": 529,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18113, 14500),
+    "statements of pipeline/": (18100, 14500),
     "files": (266, 250),
     "classes": (323, 260),
-    "is None, is not None": (342, 420),
+    "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (122, 200),

@@ -32,6 +32,7 @@ from pipeline.reporting.blocks import (
     HeatMap,
     Panel,
     Table,
+    shade,
 )
 from pipeline.reporting.console import table
 from pipeline.reporting.fit_tables import choose_unit
@@ -225,9 +226,8 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
     edges, curves = (reach[0], 100 * WELL_BELOW, 100 * WEAKLY_BELOW, reach[1]), []
     shades = (("well determined", GREEN), ("weakly", YELLOW), ("not determined", ORANGE))
     for (verdict, colour), start, stop in zip(shades, edges, edges[1:], strict=False):
-        middle, half = np.full(2, (start + stop) / 2), np.full(2, (stop - start) / 2)
         curves += [
-            Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4),
+            shade(rpm, np.full(2, start), np.full(2, stop), colour, alpha=0.4),
             Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]),
         ]
     return curves

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -19,7 +18,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
 from pipeline.reporting.twin import measure_sizes, show, summarize_modes
-from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import count, format_engineering, write_number, write_percent
@@ -151,22 +150,10 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
-    if "fit" not in training:
-        loss, held_out = (training.get(key) for key in ("loss", "held_out_loss"))
-        left = (
-            "the loss overflowed" if loss is None else f"residual {write_number(loss, digits=2)} of the bearing force"
-        )
-        return left if held_out is None else f"{left}, {write_number(held_out, digits=2)} at held-out speeds"
-    fit, kind = training["fit"], "held_out_speeds"
-    square, misfit = fit["chi_square"], measure_misfit(fit)
-    return "; ".join(
-        [
-            f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
-            f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise",
-            *([] if misfit.explained() else [misfit.sentence]),
-            *([describe_held_out(kind, fit[kind])] if kind in fit else []),
-        ]
-    )
+    readings, fit, kind = describe_readings(training), training.get("fit", {}), "held_out_speeds"
+    explained = not fit or measure_misfit(fit).explained()
+    held_out = [describe_held_out(kind, fit[kind])] if kind in fit else []
+    return "; ".join([readings[0], *([] if explained else [readings[2]]), *held_out])
 
 
 def _describe_run(content: ReportContent) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct
 from pipeline.data.operating import find_nearest
-from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLUE,
     GREEN,
@@ -29,7 +28,7 @@ from pipeline.reporting.coefficient_figures import KINDS, UNITS, Coefficients, c
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.summary import name_channel
-from pipeline.reporting.twin import measure_sizes
+from pipeline.reporting.twin import draw_sizes
 from pipeline.twin.twin import Twin
 from pipeline.units import RAD_S_PER_RPM
 
@@ -100,21 +99,10 @@ def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, besid
 
 def _draw_response(twin: Twin, state: str) -> Panel:
     """The response to the unbalance that no run has, and the critical speeds."""
-    identified, modelled = twin.vibration["identified"], twin.vibration.get("modelled")
-    rpm, curves, (sizes, deviations) = to_rpm(identified.speeds), [], measure_sizes(identified)
-    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
-        size, label = sizes[:, d], f"{direction} predicted"
-        if modelled is None:
-            curves.append(Curve(rpm, size, label, colour, dash))
-        else:
-            true = measure_sizes(modelled)[0][:, d]
-            curves += [Curve(rpm, true, f"{direction} modelled", colour), mark(rpm, size, label, colour, "os"[d])]
-        curves.append(Curve(rpm, size, "", colour, "none", band=2 * deviations[:, d]))
-    critical = [mode.speed / RAD_S_PER_RPM for mode in twin.behaviour["identified"].critical]
+    curves, critical = draw_sizes(twin.vibration), [mode.speed for mode in twin.behaviour["identified"].critical]
     if critical:
         curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
+    axes = Axes(curves, _AMPLITUDE, scale="log", rules=[(speed / RAD_S_PER_RPM, "") for speed in critical])
     at = f",{state.removeprefix(' at')}" if state else ""
-    title = f"predicted: node {identified.node} under an unbalance that no run has{at}"
-    return Panel(
-        title, RPM, [Axes(curves, _AMPLITUDE, scale="log", rules=[(speed, "") for speed in critical])], legend=True
-    )
+    node = twin.vibration["identified"].node
+    return Panel(f"predicted: node {node} under an unbalance that no run has{at}", RPM, [axes], legend=True)

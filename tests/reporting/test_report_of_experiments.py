@@ -80,14 +80,13 @@ def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
         "damping",
         "fit",
         "campbell",
-        "stability",
         "prediction",
     ]
     figures += ["spectra", "centreline", "held-out"] if name == "measured_demo" else []
     for figure in figures:
         assert f'id="figure-{figure}"' in text, figure
     assert json.loads((ARTIFACTS / name / "training.json").read_text())["data_fingerprint"] in text
-    assert_says(text, "±", "verification")
+    assert_says(text, "±", "verification", "Stability map")
     asked = ["What was asked?", "What is the answer?", "What may be relied on?", "What is to be done next?"]
     first = text[text.index('<section id="answer">') :]
     assert re.findall(r"<td[^>]*>(What [^<]*\?)</td>", first[: first.index("</section>")]) == asked
