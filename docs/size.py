@@ -26,7 +26,7 @@ STATEMENTS = {
     "data": 1114,
     "sweep": 249,
     "ingest": 1460,
-    "problem": 1689,
+    "problem": 1685,
     "identification": 2627,
     "evaluation": 224,
     "twin": 480,
@@ -36,16 +36,16 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2469,
+    "reporting": 2458,
     "tracking": 411,
-    "stages": 1188,
+    "stages": 1189,
     "beside the rooms": 529,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18100, 14500),
-    "files": (266, 250),
+    "statements of pipeline/": (18086, 14500),
+    "files": (264, 250),
     "classes": (323, 260),
     "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),

@@ -25,7 +25,8 @@ from pipeline.reporting.blocks import (
 from pipeline.reporting.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
-from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, show, summarize_modes
+from pipeline.reporting.summary import describe_stability
+from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import write_number
 
@@ -38,18 +39,12 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
     rpm, identified = to_rpm(behaviour.modes.speeds), cast("Mapping[str, Any]", summarize_modes(behaviour, running))
     stability = identified["stability"]
-    verdict = stability["verdict"]
-    told = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
-    said = f"{told.get(verdict, 'UNSTABLE')} {_name_range(rpm)}{fit.state}"
-    text = f"The identified machine is {said}; the largest growth rate is {growth} 1/s."
-    least = stability["smallest_logarithmic_decrement"]
-    if least is not None:
-        text += (
-            f" The smallest logarithmic decrement is {show(stability, 'smallest_logarithmic_decrement')}, at "
-            f"{write_number(stability['at_rpm'], digits=6)} rpm (modes up to twice the top speed)."
-        )
+    text = (
+        f"The identified machine is {describe_stability(stability)} ({_name_range(rpm)}{fit.state}, modes up to twice "
+        f"the top speed); the largest growth rate is {growth} 1/s."
+    )
     text += (
         " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
         "with an amplification factor below 2.5 is critically damped. "
@@ -59,7 +54,7 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     beyond = "the bands grow there, and rest on the model of the coefficients alone."
     return [
         *list_reservations(content),
-        Mark("warning" if verdict == "unstable" else "", text),
+        Mark("warning" if stability["verdict"] == "unstable" else "", text),
         *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
         _list_critical_speeds(rpm, identified["critical_speeds"]),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(rpm) > 1 else ()),
