@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1460,
     "problem": 1685,
-    "identification": 2627,
+    "identification": 2624,
     "evaluation": 224,
     "twin": 480,
     "balance": 653,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18086, 14500),
+    "statements of pipeline/": (18083, 14500),
     "files": (264, 250),
     "classes": (323, 260),
     "is None, is not None": (339, 420),

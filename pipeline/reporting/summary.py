@@ -1,4 +1,4 @@
-"""The results of an experiment on one screen of at most 40 lines of 100 columns (paths are not cut), and in a picture."""
+"""The results of an experiment: one screen of 40 lines and 100 columns at most (paths are not cut), and a picture."""
 
 from __future__ import annotations
 
