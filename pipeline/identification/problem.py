@@ -336,13 +336,6 @@ class OutputError(LeastSquares):
         place, number = self.carried
         return torch.einsum(f"gs...a,{place}->gs...{number}", by_output, carrier.to(by_output.dtype)).flatten(-2)
 
-    def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
-        import torch
-
-        priors = self.prior.rows.expand(len(weights), -1, -1)
-        return torch.cat([self.columns(weights)[..., :-1], priors], dim=1)[:, None]
-
     # --- what is known of the weights --------------------------------------------------------------------
 
     def covariance(self, weights: torch.Tensor) -> np.ndarray:

@@ -29,7 +29,6 @@ from pipeline.problem.identifiability import (
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
-from pipeline.problem.ranking import rank
 from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
@@ -63,16 +62,6 @@ class Diagnosis:
             for c, name in enumerate(COEFFICIENTS)
             if not np.isnan(self.deviation[b, :, c]).all()
         }
-
-    def worst(self, report: Identifiability) -> tuple[str, float]:
-        """The coefficient of a bearing with the largest deviation, and that over its size, median over speed."""
-        medians = {
-            f"{name} at node {node}" if len(report.nodes) > 1 else name: float(np.median(values))
-            for node in report.nodes
-            for name, values in self.relative(node).items()
-        }
-        name = rank(medians)[0]
-        return name, medians[name]
 
 
 def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:

@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.write_numbers import write_number
 
 # Okabe and Ito's palette.
@@ -33,8 +34,9 @@ NOTHING = np.empty(0)
 class Curve:
     """Points (N,) that belong together, as a line, as markers or both; one without points is a key of the legend alone.
 
-    ``band`` (N,) is half the width of a filled band. ``dash`` is solid, dash, longdash, dot, dashdot or none. A
-    ``filled`` curve is the outline of an area; ``texts`` (N,) stand beside the points. Markers are open, or ``full``.
+    ``deviation`` (N,) is the standard deviation of y, drawn as its nominal 95 % band. ``dash`` is solid, dash,
+    longdash, dot, dashdot or none. A ``filled`` curve is the outline of an area; ``texts`` (N,) stand beside the
+    points. Markers are open, or ``full``, one at each ``every`` points.
     """
 
     x: np.ndarray
@@ -44,7 +46,8 @@ class Curve:
     dash: str = "solid"
     marker: str = ""
     _: KW_ONLY
-    band: np.ndarray = field(default_factory=lambda: NOTHING)
+    deviation: np.ndarray = field(default_factory=lambda: NOTHING)
+    every: int = 1
     filled: bool = False
     full: bool = False
     texts: Sequence[str] = ()
@@ -63,13 +66,17 @@ class Curve:
         if every <= 1 or self.filled or self.dash == "none":
             return self
         keep = np.unique(np.r_[0 : len(self.x) : every, len(self.x) - 1, int(np.nanargmax(np.nan_to_num(self.y)))])
-        return replace(self, x=self.x[keep], y=self.y[keep], band=self.band[keep] if len(self.band) else self.band)
+        deviation = self.deviation[keep] if len(self.deviation) else self.deviation
+        return replace(self, x=self.x[keep], y=self.y[keep], deviation=deviation)
 
     def edges(self, logarithmic: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x and both ends of the band where they are known; over a logarithmic axis never down to zero."""
-        x, y = self.x[: len(self.band)], self.y[: len(self.band)]
-        known = np.isfinite(self.band) & np.isfinite(y)
-        x, y, half = x[known], y[known], self.band[known]
+        """x and both ends of the 95 % band where they are known; over a logarithmic axis never down to zero.
+
+        The one place that makes a band of a deviation for the eye.
+        """
+        x, y = self.x[: len(self.deviation)], self.y[: len(self.deviation)]
+        known = np.isfinite(self.deviation) & np.isfinite(y)
+        x, y, half = x[known], y[known], NOMINAL_95 * self.deviation[known]
         return x, np.where(logarithmic & (y > 0) & (y <= half), 1e-3 * y, y - half), y + half
 
 
@@ -85,25 +92,38 @@ def reach(values: np.ndarray, share: float = 0.02) -> tuple[float, float]:
 
 def mark_beyond(curves: Sequence[Curve], low: float, high: float) -> list[Curve]:
     """A cross at the end of the axis, from ``low`` to ``high``, for each point of the curves that lies beyond it."""
-    beyond = [(curve, (curve.y < low) | (curve.y > high)) for curve in curves]
-    return [
-        Curve(curve.x[off], np.clip(curve.y[off], low, high), "beyond the axis", curve.colour, "none", "x")
-        for curve, off in beyond
-        if off.any()
-    ]
+    crosses = []
+    for curve in curves:
+        x, y = curve.x[:: curve.every], curve.y[:: curve.every]
+        off = (y < low) | (y > high)
+        if off.any():
+            crosses.append(Curve(x[off], np.clip(y[off], low, high), "beyond the axis", curve.colour, "none", "x"))
+    return crosses
 
 
-def mark(x: np.ndarray, y: np.ndarray, label: str, colour: str, marker: str = "o", count: int = 30) -> Curve:
-    """About ``count`` open markers of a curve, as many as can be told apart."""
-    every = slice(None, None, max(1, len(x) // count))
-    return Curve(x[every], y[every], label, colour, "none", marker)
+def mark(
+    x: np.ndarray,
+    y: np.ndarray,
+    label: str,
+    colour: str,
+    marker: str = "o",
+    count: int = 30,
+    deviation: np.ndarray = NOTHING,
+) -> Curve:
+    """About ``count`` open markers of a curve, as many as can be told apart, over its whole band."""
+    return Curve(x, y, label, colour, "none", marker, deviation=deviation, every=max(1, len(x) // count))
+
+
+def shade(x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, label: str = "", alpha: float = 1.0) -> Curve:
+    """The area over x (N,) between two lines."""
+    return Curve(np.r_[x, x[::-1]], np.r_[high, low[::-1]], label, colour, "none", filled=True, alpha=alpha)
 
 
 @dataclass(frozen=True, eq=False)
 class Axes:
     """Curves over one pair of axes.
 
-    ``scale`` is linear, log or symlog. ``quantity`` is ``amplitude`` (y is one, in m, zero-to-peak; in an orbit x and y
+    ``scale`` is linear or log. ``quantity`` is ``amplitude`` (y is one, in m, zero-to-peak; in an orbit x and y
     are places, in m) or ``lag`` (y is one, in degrees): the page shows either in the reader's own unit. ``y_names``
     stand at 0, 1, ... from above to below; ``rules`` are vertical lines with words.
     """

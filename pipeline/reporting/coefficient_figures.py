@@ -99,15 +99,15 @@ class Coefficients:
         values, known = scale * self.identified.values[b, :, c], name not in self.unknowns[b]
         if known:
             return [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")] if values.any() else []
-        band = NOMINAL_95 * scale * self.deviation[b, :, c]
+        deviation = scale * self.deviation[b, :, c]
         lost = self.lost[b, :, c]
         given = np.where(lost, np.nan, values)
         drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
         if lost.all():
             drawn = Curve(NOTHING, NOTHING, label, colour, filled=True)  # with no marker, its key is the band
-        key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(band).any() else []
+        key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(deviation).any() else []
         return [
-            Curve(self.rpm, values, "", colour, "none", band=band),
+            Curve(self.rpm, values, "", colour, "none", deviation=deviation),
             Curve(self.rpm, scale * self.modelled[b, :, c], "modelled", BLACK, width=1.2),
             replace(drawn, marker="o" if len(values) == 1 else drawn.marker),
             *key,

@@ -17,6 +17,7 @@ from pipeline.identification.quality import finite
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Identifiability, Solvability
+from pipeline.problem.ranking import rank
 from pipeline.reporting.blocks import (
     BLACK,
     BLUE,
@@ -32,6 +33,7 @@ from pipeline.reporting.blocks import (
     HeatMap,
     Panel,
     Table,
+    shade,
 )
 from pipeline.reporting.console import table
 from pipeline.reporting.fit_tables import choose_unit
@@ -40,9 +42,9 @@ from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number, write_percent
 
 
-def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, object]:
+def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     """Return the diagnosis by node; an infinite number is null, since JSON has none."""
-    result: dict[str, object] = {}
+    result: dict[str, dict[str, Any]] = {}
     for report in diagnosis.reports:
         shared = {
             "verdict": report.verdict.value,
@@ -101,28 +103,46 @@ def list_determined(caption: str, judged: Sequence[Determined]) -> Table:
     return Table(caption, ["coefficient", *(f"bearing at node {node}" for node in nodes)], rows)
 
 
-def print_diagnosis(name: str, diagnosis: Diagnosis, noise: str) -> None:
-    """Rank, condition and the worst coefficient of each bearing; ``noise`` in words."""
+def list_bearings(caption: str, bearings: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Rank, condition and worst coefficient of ``bearings`` of ``diagnosis.json``, on screen and in the report."""
     rows = []
-    for report in diagnosis.reports:
-        coefficient, deviation = diagnosis.worst(report)
-        size = write_percent(deviation, "+- ") if np.isfinite(deviation) else "free"
+    for node, bearing in bearings.items():
+        deviations = {
+            name: np.inf if percent is None else percent / 100
+            for name, percent in bearing["median_deviation_percent"].items()
+        }
+        coefficient = rank(deviations)[0]
+        size = write_percent(deviations[coefficient], "+- ") if np.isfinite(deviations[coefficient]) else "free"
+        told = None not in bearing["orbit_rank"].values()
         rows.append(
             [
-                report.where,
-                f"{int(np.median(report.rank))} of {len(report.unknowns)}",
-                "" if np.isnan(report.orbit_rank).any() else f"{int(np.median(report.orbit_rank))} of 2",
-                write_number(np.median(report.condition), digits=3),
-                write_number(report.condition.max(), digits=3),
+                f"node {node}",
+                bearing["verdict"],
+                f"{_span(bearing['rank'])} of {bearing['unknowns']}",
+                f"{_span(bearing['orbit_rank'])} of 2" if told else "",
+                *(write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max")),
                 f"{coefficient} {size}",
-                report.free_combination(),
+                bearing["least_determined"],
             ]
         )
-    table(
-        f"{name}: what the data determine at each speed, at {noise} (medians)",
-        ["bearing", "rank", "orbits", "condition (median)", "worst", "worst coefficient", "determined least"],
+    return Table(
+        caption,
+        [
+            "bearing",
+            "verdict",
+            "rank",
+            "orbits",
+            "condition (median)",
+            "worst",
+            "worst coefficient (median)",
+            "determined least",
+        ],
         rows,
-    )
+    ).without_blank()
+
+
+def _span(ends: Mapping[str, float]) -> str:
+    return f"{ends['least']:.0f}" + (f" to {ends['most']:.0f}" if ends["most"] > ends["least"] else "")
 
 
 def describe_combinations(combinations: Combinations) -> str:
@@ -225,9 +245,8 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
     edges, curves = (reach[0], 100 * WELL_BELOW, 100 * WEAKLY_BELOW, reach[1]), []
     shades = (("well determined", GREEN), ("weakly", YELLOW), ("not determined", ORANGE))
     for (verdict, colour), start, stop in zip(shades, edges, edges[1:], strict=False):
-        middle, half = np.full(2, (start + stop) / 2), np.full(2, (stop - start) / 2)
         curves += [
-            Curve(rpm, middle, "", colour, "none", band=half, alpha=0.4),
+            shade(rpm, np.full(2, start), np.full(2, stop), colour, alpha=0.4),
             Curve(rpm @ [[0.15], [0.85]], np.array([0.7 * stop]), "", GREY, "none", texts=[verdict]),
         ]
     return curves

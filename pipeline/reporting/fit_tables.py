@@ -20,7 +20,7 @@ from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table
 from pipeline.rotor.parameters import UNITS
-from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number
 
 if TYPE_CHECKING:
@@ -104,18 +104,9 @@ def describe_verdicts(about: Mapping[str, Any]) -> str:
 
 def describe_quality(quality: Mapping[str, Any]) -> str:
     """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
-    if "residual" in quality:
-        share = write_number(quality["residual"]["mean_over_bearing_force"], digits=3)
-        return f"no modelled coefficients, so no errors; residual {share} of the bearing force"
-    fit = quality["fit"]
-    square, white = fit["chi_square"], fit["whiteness"]
-    lines = [
-        f"chi-square {square['value']:.0f} of {square['readings']} readings, {square['expected']:.0f} expected "
-        f"({100 * square['value'] / square['expected'] - 100:+.1f} %)",
-        f"whiteness: neighbouring speeds correlate by {white['autocorrelation']:.3f} "
-        f"({white['over_its_deviation']:+.1f} standard deviations from none); {fit['bad_points']} readings far off",
-        measure_misfit(fit).sentence,
-    ]
+    lines, fit = describe_readings(quality), quality.get("fit")
+    if fit is None:
+        return f"no modelled coefficients, so no errors; {lines[0]}"
     for kind in ("held_out_speeds", "held_out_runs"):
         if kind in fit:
             told, square = describe_held_out(kind, fit[kind], 3), fit[kind]["mean_square_over_noise"]

@@ -188,16 +188,17 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
     return drawn
 
 
-def _draw_axes(ax: Any, axes: Axes, panel: Panel) -> None:
+def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) -> None:
+    """Below an axis stand no more than ``ticks_an_inch``: numbers of five digits have room between them."""
     places = MICROMETRES if panel.equal else MICROMETRES_PEAK_TO_PEAK
     scale = places if axes.quantity == "amplitude" else 1.0
-    if axes.scale == "symlog":
-        ax.set_yscale("symlog", linthresh=0.1)
-        ax.yaxis.set_major_formatter(_write_tick)
-    elif axes.scale == "log":
+    if axes.scale == "log":
         _set_logarithmic(ax, "y", [curve.y for curve in axes.curves])
     if panel.log_x:
         _set_logarithmic(ax, "x", [curve.x for curve in axes.curves])
+    else:
+        inches = ax.get_position().width * ax.figure.get_figwidth()
+        ax.locator_params(axis="x", nbins=max(3, round(ticks_an_inch * inches)))
     for curve in axes.curves:
         _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
     for at, text in axes.rules:
@@ -259,7 +260,8 @@ def _write_tick(value: float, place: int | None) -> str:
 def _draw_curve(ax: Any, curve: Curve, scales: tuple[float, float]) -> None:
     if not curve.shown or not len(curve.x):
         return
-    x, y, look = scales[0] * curve.x, scales[1] * curve.y, {"color": curve.colour, "alpha": 0.25 * curve.alpha, "lw": 0}
+    x, y = (scale * values[:: curve.every] for scale, values in zip(scales, (curve.x, curve.y), strict=True))
+    look: dict[str, Any] = {"color": curve.colour, "alpha": 0.25 * curve.alpha, "lw": 0}
     if curve.filled:
         ax.fill(x, y, **look)
     edges, low, high = curve.edges(ax.get_yscale() == "log")

@@ -13,7 +13,7 @@ from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.tuning import Dimension, HeldOutLoss, Value
 from pipeline.data.tables import write_table
 from pipeline.files import write_json, write_text
-from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel, shade
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
 from pipeline.tuning.finalists import Finalist, TrialSummary
@@ -238,7 +238,7 @@ def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
     for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
         trials, low, high = 1 + np.arange(losses.shape[1]), losses.min(axis=0), losses.max(axis=0)
         curves += [
-            Curve(trials, (low + high) / 2, "", colour, "none", band=(high - low) / 2),
+            shade(trials, low, high, colour),
             Curve(trials, np.median(losses, axis=0), name, colour, width=2.4),
         ]
     return write_panel(path, Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True))

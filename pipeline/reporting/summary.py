@@ -1,8 +1,7 @@
-"""The results of an experiment on one screen: at most 40 lines of 100 columns (a path is never cut)."""
+"""The results of an experiment: one screen of 40 lines and 100 columns at most (paths are not cut), and a picture."""
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,18 +9,36 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, unit
+from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.config.machine import PredictionConfig
 from pipeline.config.schema import Config
-from pipeline.data.dataset import name_direction
-from pipeline.data.operating import split_states
+from pipeline.data.operating import find_nearest, split_states
 from pipeline.data.vibration_files import to_rpm
-from pipeline.reporting.content import FitContent, ReportContent
+from pipeline.reporting.blocks import (
+    BLUE,
+    GREEN,
+    GREY,
+    LOOKS,
+    MICROMETRES,
+    NOTHING,
+    ORANGE,
+    PURPLE,
+    RPM,
+    Axes,
+    Curve,
+    Figure,
+    Panel,
+    mark,
+)
+from pipeline.reporting.coefficient_figures import KINDS, UNITS, Coefficients, clip_bands
+from pipeline.reporting.content import FitContent, ReportContent, name_channel
 from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
-from pipeline.reporting.twin import measure_sizes, show, summarize_modes
-from pipeline.trust.misfit import describe_held_out, measure_misfit
+from pipeline.reporting.matplotlib_figures import write_figure
+from pipeline.reporting.twin import draw_sizes, measure_sizes, show, summarize_modes
+from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
+from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import count, format_engineering, write_number, write_percent
 
 WIDTH = 100
@@ -151,22 +168,10 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
 
 def _describe_fit(training: Mapping[str, Any]) -> str:
     """Say what the fit leaves over, and how well it predicts what was held out."""
-    if "fit" not in training:
-        loss, held_out = (training.get(key) for key in ("loss", "held_out_loss"))
-        left = (
-            "the loss overflowed" if loss is None else f"residual {write_number(loss, digits=2)} of the bearing force"
-        )
-        return left if held_out is None else f"{left}, {write_number(held_out, digits=2)} at held-out speeds"
-    fit, kind = training["fit"], "held_out_speeds"
-    square, misfit = fit["chi_square"], measure_misfit(fit)
-    return "; ".join(
-        [
-            f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
-            f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their noise",
-            *([] if misfit.explained() else [misfit.sentence]),
-            *([describe_held_out(kind, fit[kind])] if kind in fit else []),
-        ]
-    )
+    readings, fit, kind = describe_readings(training), training.get("fit", {}), "held_out_speeds"
+    explained = not fit or measure_misfit(fit).explained()
+    held_out = [describe_held_out(kind, fit[kind])] if kind in fit else []
+    return "; ".join([readings[0], *([] if explained else [readings[2]]), *held_out])
 
 
 def _describe_run(content: ReportContent) -> str:
@@ -214,13 +219,6 @@ def _describe_prediction(asked: PredictionConfig, fit: FitContent, twin: Twin) -
     )
 
 
-def name_channel(channel: tuple[int, float]) -> str:
-    """Name a channel, such as ``x at node 3`` or ``45 deg at node 3``."""
-    node, angle = channel
-    name = name_direction(angle)
-    return f"{name if name in 'xy' else f'{name} deg'} at node {node}"
-
-
 def _join(things: Iterable[object]) -> str:
     return ", ".join(map(str, things)) or "none"
 
@@ -230,3 +228,79 @@ def _name_nodes(nodes: Iterable[int]) -> str:
     if len(every) > 3 and np.ptp(every) == len(every) - 1:
         return f"nodes {every[0]} to {every[-1]}"
     return f"node{'s' if len(every) != 1 else ''} {_join(every)}"
+
+
+_AMPLITUDE = "amplitude (µm, zero-to-peak)"
+
+
+def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
+    """Stiffness, damping, one run at one probe, and the predicted unbalance response, all over the speed.
+
+    Where data have operating conditions, it is at the measured state that is nearest to the prediction's.
+    """
+    data = content.dataset
+    label, points = find_nearest(data.speeds, data.operating, fit.operating)
+    beside = f", {label}" if data.operating else ""
+    panels = [draw_kind(fit.coefficients.at(points), letter, beside) for letter in "kc"]
+    panels += [_draw_run(content, fit, points, beside), *([_draw_response(fit.twin, fit.state)] if fit.twin else [])]
+    return write_figure(path, Figure("summary", content.config.name, panels))
+
+
+def draw_kind(shown: Coefficients, letter: str, beside: str) -> Panel:
+    """A colour a coefficient, a marker a bearing; what is known is dashed."""
+    some, nodes, (scale, measured_in) = shown.choose(letter), shown.identified.nodes, UNITS[letter]
+    names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
+    curves = []
+    for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
+        for b, node in enumerate(nodes):
+            curves += shown.draw(b, name, f"{name}, node {node}", (colour, LOOKS[b % 5][1]), scale)
+    values = scale * np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
+    positive, several = values.min() > 0, values.max() > 5 * values.min()
+    scaled = "log" if positive and several else "linear"
+    # Noise of an axis that starts at its curves would look like a finding.
+    usual = (0.0, 1.15 * float(values.max())) if positive and not several else ()
+    reach = clip_bands(curves, scaled == "log") or usual
+    known = "" if some else " (known, not identified)"
+    return Panel(
+        f"{KINDS[letter]} of the bearings{known}{beside}",
+        RPM,
+        [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled, y_range=reach)],
+        legend=True,
+    )
+
+
+def _draw_run(content: ReportContent, fit: FitContent, points: np.ndarray, beside: str) -> Panel:
+    """The amplitude of one run at the probe that moves most: measured as markers, predicted as a line."""
+    (r, *vectors), data = content.example, content.dataset
+    probe = int(np.abs(vectors[0]).max(axis=0).argmax())
+    at = points[vectors[0][points].any(axis=1)]  # that the run was measured at
+    rpm, (measured, predicted) = content.rpm[at], (MICROMETRES * np.abs(vector[at, probe]) for vector in vectors)
+    label = "measured (modelled data)" if fit.coefficients.compared else "measured"
+    fitted = "not fitted" if content.held_out(r) else "fitted"
+    title = f"run {data.runs[r]} ({fitted}), {name_channel(data.channels[probe])}{beside}"
+    return Panel(
+        title,
+        RPM,
+        [
+            Axes(
+                [
+                    mark(rpm, measured, label, BLUE, count=60),
+                    Curve(rpm, predicted, "predicted from the identified coefficients", ORANGE),
+                ],
+                _AMPLITUDE,
+                scale="log",
+            )
+        ],
+        legend=True,
+    )
+
+
+def _draw_response(twin: Twin, state: str) -> Panel:
+    """The response to the unbalance that no run has, and the critical speeds."""
+    curves, critical = draw_sizes(twin.vibration), [mode.speed for mode in twin.behaviour["identified"].critical]
+    if critical:
+        curves.append(Curve(NOTHING, NOTHING, "critical speed", GREY, "dot"))
+    axes = Axes(curves, _AMPLITUDE, scale="log", rules=[(speed / RAD_S_PER_RPM, "") for speed in critical])
+    at = f",{state.removeprefix(' at')}" if state else ""
+    node = twin.vibration["identified"].node
+    return Panel(f"predicted: node {node} under an unbalance that no run has{at}", RPM, [axes], legend=True)

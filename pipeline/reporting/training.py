@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.coefficients import unit
 from pipeline.data.tables import read_table
-from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel, shade
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
@@ -127,7 +127,7 @@ def draw_refits(path: Path, rows: pd.DataFrame) -> Path:
                 ),
                 Axes(
                     [
-                        Curve(ends, np.full(2, 94.0), "", GREY, "none", band=np.full(2, 4.0)),
+                        shade(ends, np.full(2, 90.0), np.full(2, 98.0), GREY),
                         Curve(ends, np.full(2, 95.0), "", GREY, "dash", width=1.3),
                         Curve(places, inside, "", BLUE, "none", "s", size=6, full=True),
                     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from pipeline.reporting.blocks import (
     GREY,
     LOOKS,
     MICROMETRES,
+    NOTHING,
     ORANGE,
     RPM,
     Axes,
@@ -24,11 +26,13 @@ from pipeline.reporting.blocks import (
     Figure,
     Panel,
     mark,
+    mark_beyond,
+    reach,
 )
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.twin.mode_deviations import Behaviour
-from pipeline.twin.modes import amplify, follow_modes, require_separation
+from pipeline.twin.modes import amplify, find_reached, follow_modes, require_separation
 from pipeline.twin.prediction import PredictedVibration, sample_motion
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
@@ -91,10 +95,12 @@ def list_deviations(behaviour: Behaviour) -> tuple[np.ndarray, np.ndarray]:
 
 
 def follow_lines(behaviour: Behaviour) -> list[np.ndarray]:
-    """(S, K) frequencies (rad/s) and logarithmic decrements, each before its deviation, by the shapes of the modes."""
+    """(S, K) frequencies (rad/s) and logarithmic decrements, each before its deviation, by the shapes of the modes; NaN
+    above twice the top speed."""
     modes, deviations, order = behaviour.modes, list_deviations(behaviour), follow_modes(behaviour.modes)
     values = (modes.frequency, deviations[0], modes.logarithmic_decrement, deviations[1])
-    return [np.take_along_axis(value, order, axis=1) for value in values]
+    reached = [np.where(find_reached(modes), value, np.nan) for value in values]
+    return [np.take_along_axis(value, order, axis=1) for value in reached]
 
 
 def measure_sizes(predicted: PredictedVibration, scale: float = MICROMETRES) -> tuple[np.ndarray, np.ndarray]:
@@ -206,8 +212,10 @@ def show(entry: Mapping[str, Any], key: str) -> str:
     return "none" if entry[key] is None else write_number(entry[key], entry.get(f"{key}_std"), 5)
 
 
-def _draw(name: str, x: np.ndarray, y: np.ndarray, colour: str) -> Curve:
-    return Curve(x, y, name, colour) if name == "modelled" else mark(x, y, "predicted by the twin", colour)
+def _draw(name: str, x: np.ndarray, y: np.ndarray, colour: str, deviation: np.ndarray = NOTHING) -> Curve:
+    if name == "modelled":
+        return Curve(x, y, name, colour)
+    return mark(x, y, "predicted by the twin", colour, deviation=deviation)
 
 
 def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
@@ -252,7 +260,7 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
         for name, predicted in vibration.items():
             phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(predicted.displacement[:, d]))), colour))
             size, deviation = (values[:, d] for values in measure_sizes(predicted))
-            sizes += [Curve(rpm, size, "", colour, "none", band=2 * deviation), _draw(name, rpm, size, colour)]
+            sizes.append(_draw(name, rpm, size, colour, deviation))
             if name == "modelled":
                 errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
         axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
@@ -261,38 +269,63 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
     return write_figure(path, Figure("response", "", panels))
 
 
-def draw_campbell(path: Path, behaviour: Mapping[str, Behaviour], state: str = "") -> Path:
-    """The Campbell diagram and the logarithmic decrements, with two standard deviations either side.
+def draw_sizes(vibration: Mapping[str, PredictedVibration], scale: float = MICROMETRES) -> list[Curve]:
+    """Amplitudes in x and y over the speed (um, or m by a ``scale`` of 1), with their bands, beside the truth if known.
 
-    Modes up to twice the top speed; the modelled machine as lines, the identified one as markers. ``state`` names the
-    operating conditions.
+    Beside a truth, which is a line, markers are predicted.
     """
-    speeds = behaviour["identified"].modes.speeds
-    rpm, top = to_rpm(speeds), 2.0 * speeds.max() / RAD_S_PER_HERTZ
-    frequencies = [Curve(rpm, speeds / RAD_S_PER_HERTZ, "rotor speed (1X)", GREY, "dash")]
-    decrements = [Curve(rpm, np.zeros(len(rpm)), "", GREY, "dash")]
+    curves: list[Curve] = []
+    for name, predicted in vibration.items():
+        rpm, (sizes, deviations) = to_rpm(predicted.speeds), measure_sizes(predicted, scale)
+        for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
+            if name == "modelled":
+                curves.append(Curve(rpm, sizes[:, d], f"{direction} modelled", colour))
+                continue
+            drawn = mark(rpm, sizes[:, d], f"{direction} predicted", colour, "os"[d], deviation=deviations[:, d])
+            curves.append(drawn if "modelled" in vibration else replace(drawn, dash=dash, marker="", every=1))
+    return curves
+
+
+def draw_modes(behaviour: Mapping[str, Behaviour], state: str = "", highest: float = 1.5) -> Figure:
+    """The Campbell diagram, and below it the stability map: decrements below the ``highest``.
+
+    What is damped more, nobody asks for. Modes up to twice the top speed, a colour a mode; the modelled machine as
+    lines, the identified one as markers. ``state`` names the operating conditions.
+    """
+    speeds, beside = behaviour["identified"].modes.speeds, f", {state}" if state else ""
+    rpm, top = to_rpm(speeds), 2.0 * float(speeds.max()) / RAD_S_PER_RPM
+    frequencies = [Curve(rpm, rpm, "1X", BLACK, width=1.0)]
+    decrements: list[Curve] = []
     for name, machine in behaviour.items():
         frequency, frequency_std, *decrement = follow_lines(machine)
-        followed = ((frequency / RAD_S_PER_HERTZ, frequency_std / RAD_S_PER_HERTZ), decrement)
-        seen = followed[0][0] <= top  # false for NaN
-        for k in np.flatnonzero(seen.any(axis=0)):
-            colour = LOOKS[k % len(LOOKS)][0]
+        followed = ((frequency / RAD_S_PER_RPM, frequency_std / RAD_S_PER_RPM), decrement)
+        for i, k in enumerate(np.flatnonzero(np.isfinite(frequency).any(axis=0)).tolist()):
+            look = LOOKS[i % len(LOOKS)]
             for curves, (values, deviation) in zip((frequencies, decrements), followed, strict=True):
-                line = np.where(seen[:, k], values[:, k], np.nan)
-                band = Curve(rpm, line, "", colour, "none", band=2 * deviation[:, k])
-                curves += [band, _draw(name, rpm, line, colour)]
-    critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_HERTZ
-    if len(critical):
-        frequencies.append(Curve(60.0 * critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8))
-    return write_panel(
-        path,
-        Panel(
-            state,
-            RPM,
-            [
-                Axes(frequencies, "damped natural\nfrequency (Hz)", y_range=(0.0, top)),
-                Axes(decrements, "logarithmic decrement\n(stable above 0)", scale="symlog"),
-            ],
-            wide=True,
-        ),
+                known = Curve(rpm, values[:, k], "modelled", look[0])
+                drawn = mark(rpm, values[:, k], f"mode {i + 1}", *look, deviation=deviation[:, k])
+                curves.append(known if name == "modelled" else drawn)
+    critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_RPM
+    crossed = Curve(critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8)
+    frequencies += [crossed] * bool(len(critical))
+    values = np.concatenate([NOTHING, *(curve.y for curve in decrements)])
+    ends = np.concatenate([values, *(curve.edges(False)[2] for curve in decrements)])
+    # What API RP 684 asks for stays in sight.
+    limits = (min(-0.1, 1.1 * reach(values)[0]), min(highest, max(0.2, 1.1 * reach(ends)[1])))
+    decrements.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, width=1.0))
+    decrements += mark_beyond(decrements, limits[0], np.inf)
+    return Figure(
+        "campbell",
+        "Damped natural frequencies of the modes up to twice the top speed, followed by their shapes (over-damped ones "
+        f"have none), and their logarithmic decrements where these are below {highest:g}. Below zero the machine is "
+        "unstable; API RP 684 asks for 0.1 at least. Bands hold the nominal 95 %"
+        + ("; lines are modelled, markers predicted by the twin." if "modelled" in behaviour else "."),
+        [
+            Panel(f"{title}{beside}", RPM, [axes], wide=True)
+            for title, axes in (
+                ("Campbell diagram", Axes(frequencies, "frequency (cycles/min)", y_range=(0.0, top))),
+                ("Stability map", Axes(decrements, "logarithmic decrement", y_range=limits)),
+            )
+        ],
+        columns=1,
     )

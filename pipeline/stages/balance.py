@@ -14,8 +14,7 @@ from pipeline.data.conditions import Conditions
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.ingest.conventions import SourceUnits
-from pipeline.reporting.balance_figure import draw_balance
-from pipeline.reporting.balance_tables import print_estimates, tabulate_estimates
+from pipeline.reporting.balance import draw_balance, print_estimates, tabulate_estimates
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.balance_sheet import correct

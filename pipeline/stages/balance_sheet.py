@@ -15,7 +15,7 @@ from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions
 from pipeline.ingest.conventions import SourceUnits
-from pipeline.reporting.balance_tables import (
+from pipeline.reporting.balance import (
     describe_sheet,
     print_fewer,
     print_sheet,

@@ -18,10 +18,10 @@ from pipeline.reporting.diagnosis import (
     describe_combinations,
     draw_budget,
     draw_diagnosis,
+    list_bearings,
     list_determined,
     name_tolerance,
     print_budget,
-    print_diagnosis,
     summarize_combinations,
     summarize_diagnosis,
     tabulate_diagnosis,
@@ -45,13 +45,14 @@ def run(analysis: Analysis) -> StageOutput:
         warn(f"{config.name}: no prediction can follow a fit, and summary and report will lack it: {error}")
     for report in diagnosis.reports:
         say(f"{config.name}: {report.sentence}")
-    print_diagnosis(config.name, diagnosis, noise)
+    bearings = summarize_diagnosis(diagnosis)
+    table(*list_bearings(f"{config.name}: what the data determine at each speed, at {noise}", bearings))
     expected = expect(analysis)
     judged = expected.judge()
     table(*list_determined(f"{config.name}: each coefficient at {noise}, {expected.of} (medians)", judged))
     summary: dict[str, object] = {
         "stated_noise": config.stated_noise.model_dump(),
-        "bearings": summarize_diagnosis(diagnosis),
+        "bearings": bearings,
         "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
         **numbers,
     }

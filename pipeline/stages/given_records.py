@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.balance.records import predict_records
 from pipeline.data.tables import list_columns, read_table, write_table
 from pipeline.ingest.conventions import SourceUnits
-from pipeline.reporting.balance_tables import tabulate_predicted
+from pipeline.reporting.balance import tabulate_predicted
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

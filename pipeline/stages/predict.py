@@ -12,8 +12,9 @@ from pipeline.data.operating import name_state
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.reporting.console import say, warn
+from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.twin import (
-    draw_campbell,
+    draw_modes,
     draw_orbit,
     draw_response,
     draw_time,
@@ -73,7 +74,7 @@ def run(analysis: Analysis) -> StageOutput:
         draw_time(work.figure("prediction_time"), vibration, at, name_state(twin.operating)),
         draw_orbit(work.figure("prediction_orbit"), vibration, at, name_state(twin.operating)),
         draw_response(work.figure("prediction_response"), vibration, name_state(twin.operating)),
-        draw_campbell(work.figure("campbell"), twin.behaviour, name_state(twin.operating)),
+        write_figure(work.figure("campbell"), draw_modes(twin.behaviour, name_state(twin.operating))),
     ]
     return StageOutput(summary, restore(analysis).tags, written)
 

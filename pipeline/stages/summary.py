@@ -10,8 +10,7 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json, write_text
 from pipeline.reporting.console import say
 from pipeline.reporting.content import FitContent, ReportContent
-from pipeline.reporting.summary import write_summary
-from pipeline.reporting.summary_figure import draw_summary
+from pipeline.reporting.summary import draw_summary, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput

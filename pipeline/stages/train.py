@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from pipeline.data.coefficient_files import write_coefficients
 from pipeline.data.tables import write_table
@@ -30,7 +31,7 @@ from pipeline.stages.before_fit import describe_noise, say_beforehand
 from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking.model import exemplify
-from pipeline.trust.misfit import measure_misfit
+from pipeline.trust.misfit import describe_readings, measure_misfit
 
 
 def run(analysis: Analysis) -> StageOutput:
@@ -45,7 +46,7 @@ def run(analysis: Analysis) -> StageOutput:
     determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     summary = _summarize(fitted) | {"determined": determined}
     files = _write(analysis, fitted, answer, summary)
-    _report(analysis, fitted)
+    _report(analysis, fitted, summary)
     say(f"{config.name}: {describe_verdicts(summary)}")
     return StageOutput(
         metrics={"training": summary | {"seconds": fitted.seconds}},
@@ -68,7 +69,7 @@ def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
     return Deviations(answer.table, values, f"by this fit at {noise}")
 
 
-def _summarize(fitted: Fit) -> dict[str, object]:
+def _summarize(fitted: Fit) -> dict[str, Any]:
     # A loss that overflowed is no JSON number.
     held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
     return {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
@@ -95,28 +96,16 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
     ]
 
 
-def _describe_misfit(fitted: Fit) -> str:
-    """The loss in words."""
-    if fitted.quality.misfit is None:
-        held_out = "" if fitted.held_out_loss is None else f", on held-out speeds {fitted.held_out_loss:.3g}"
-        return f"residual {fitted.loss:.3g} of the bearing force{held_out}"
-    square, bad = fitted.quality.summary["fit"]["chi_square"], len(fitted.quality.bad_points)
-    left = (
-        f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected of {square['readings']} readings"
-    )
-    return left + (f" ({bad} of them far off, in 'bad_points.csv')" if bad else "")
-
-
-def _report(analysis: Analysis, fitted: Fit) -> None:
+def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None:
     config = analysis.config
+    readings = describe_readings(summary)
+    far_off = f" ({readings[-1]}, in 'bad_points.csv')" if fitted.quality.bad_points else ""
     say(
         f"{config.name}: {fitted.outcome.value}\n"
-        f"{_describe_misfit(fitted)}, "
-        f"{fitted.steps} steps in {fitted.seconds:.1f} s\n"
+        f"{readings[0]}{far_off}, {fitted.steps} steps in {fitted.seconds:.1f} s\n"
         f"coefficients in '{analysis.files.identified}'"
     )
     stated = config.identify.model_parameters.deviations
-    summary = fitted.quality.summary
     told = {
         number.parameter.name: summary["model_parameters"][number.parameter.name]
         for number in fitted.parameters

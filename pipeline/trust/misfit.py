@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.identification.quality import FAR_FROM_EXPECTED, MISMATCH
+from pipeline.write_numbers import write_number
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,32 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     probability = None if smallest is None else min(1.0, len(tests) * smallest)
     factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
     return Misfit(float(size), probability, estimated, factor, float(total * factor**2))
+
+
+def describe_readings(training: Mapping[str, Any]) -> list[str]:
+    """How the fit of ``training.json`` or ``metrics.json`` follows its readings, for every line and page that says so.
+
+    How far off they lie, how neighbours correlate, whether model and noise explain them, and how many lie far off. Of a
+    loss that weighs no noise it is the residual alone.
+    """
+    if "fit" not in training:
+        if training.get("loss", 0.0) is None:
+            return ["the loss overflowed"]
+        share = write_number(training["residual"]["mean_over_bearing_force"], digits=3)
+        losses = {"loss": "loss", "held_out_loss": "at held-out speeds"}
+        told = [f"{text} {write_number(training[key], digits=3)}" for key, text in losses.items() if key in training]
+        return [", ".join([f"residual {share} of the bearing force (mean)", *told])]
+    fit = training["fit"]
+    square, white = fit["chi_square"], fit["whiteness"]
+    levels = "noise and what the model may be off by" if "inconsistent_runs" in fit else "noise"
+    return [
+        f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
+        f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",
+        f"neighbouring speeds correlate by {write_number(white['autocorrelation'], digits=2)} "
+        f"({write_number(white['over_its_deviation'], digits=2)} deviations from none)",
+        measure_misfit(fit).sentence,
+        f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
+    ]
 
 
 def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.reporting.blocks import GREY, LOOKS, NOTHING, Axes, Curve, Figure, Panel
+from pipeline.reporting.blocks import GREY, LOOKS, Axes, Curve, Figure, Panel, shade
 from pipeline.reporting.matplotlib_figures import write_figure
 
 _PANELS = {
@@ -24,12 +24,11 @@ def draw_folds(path: Path, rows: Sequence[dict[str, Any]], floor: Sequence[float
     """
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    ends, half = np.array([-0.5, len(tasks) - 0.5]), (floor[2] - floor[0]) / 2
-    drift = Curve(ends, np.full(2, floor[0] + half), "", GREY, "none", band=np.full(2, half))
-    key = Curve(NOTHING, NOTHING, "drift alone, in folds (90 %)", GREY, filled=True)
+    ends, (low, _, high) = np.array([-0.5, len(tasks) - 0.5]), floor
+    drift = shade(ends, np.full(2, low), np.full(2, high), GREY, "drift alone, in folds (90 %)")
     panels: list[Panel] = []
     for quantity, label in _PANELS.items():
-        curves = [] if panels else [drift, key]
+        curves = [] if panels else [drift]
         for m, (method, (colour, marker)) in enumerate(zip(methods, LOOKS, strict=False)):
             for chosen in ("consistent", "all"):
                 some = [row for row in rows if row["method"] == method and row["conditions"] == chosen]

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from physical_peers import carry, fit_physical, physical_of, physical_peers
 from small_rig import AS_FOUND, CHANNELS, HEAVIEST, PLANES, SIZE, SmallRig, small_rig
+from training import dense_jacobian
 
 from pipeline.balance.physical import Physical, restore_physical
 from pipeline.errors import DataError, IdentifiabilityError
@@ -58,7 +59,7 @@ def test_vibration_and_covariance_equal_those_of_the_direct_problem(model: Physi
     problem = model._problem(weights)
     (direct,) = problem.predicted(model.weights)
     np.testing.assert_allclose(mean, direct[0].numpy().reshape(SIZE, -1).T, rtol=1e-9, atol=1e-15)
-    slope = problem.jacobian(model.weights)[0, 0, : 2 * direct.numel()].numpy().reshape(SIZE, len(weights), 2, -1)
+    slope = dense_jacobian(problem, model.weights)[: 2 * direct.numel()].numpy().reshape(SIZE, len(weights), 2, -1)
     along = (slope[:, :, 0] + 1j * slope[:, :, 1]).swapaxes(0, 1)
     expected = along @ model.covariance @ along.conj().swapaxes(1, 2)
     np.testing.assert_allclose(covariance, expected, atol=1e-8 * abs(expected).max())

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.interpolate import CubicSpline
+from training import dense_jacobian
 
 from pipeline.config.compose import compose_config
 from pipeline.identification.answer import conclude, restore
@@ -216,7 +217,7 @@ def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rn
     square = np.einsum("spr,st,tpr->", off.conj(), np.linalg.inv(covariance), off).real
     assert (np.abs(mixed) ** 2).sum() == pytest.approx(square)
     assert problem.readings.log_determinant() == pytest.approx(2 * off[0].size * np.linalg.slogdet(covariance)[1])
-    jacobian = problem.jacobian(at_nodes.weights)[0, 0]
+    jacobian = dense_jacobian(problem, at_nodes.weights)
     np.testing.assert_allclose(problem.normal(at_nodes.weights)[1][0, 0], jacobian.mT @ jacobian, rtol=1e-9, atol=1e-6)
     white = (rng.standard_normal((2, *off.shape)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0)
     wandering = np.einsum("st,tpr->spr", np.linalg.cholesky(covariance), white)

@@ -77,7 +77,7 @@ def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: sli
     deviation[0, lost, 0] *= 4  # kxx is zero to within 2.5 deviations
     shown = Coefficients.collect(bearings, None, NAMES, deviation)
     band, _, drawn, _ = shown.draw(0, "kxx", "kxx identified", ("blue", "o"), 1.0, 99)
-    assert np.isfinite(band.band).all()
+    assert np.isfinite(band.deviation).all()
     np.testing.assert_array_equal(drawn.x[np.isfinite(drawn.y)], np.delete(shown.rpm, lost))
 
 

@@ -42,7 +42,7 @@ HEAD = {"customer": "C & D", "author": ""}
 def _sections() -> list[Section]:
     """One of each kind of block and of panel."""
     orbit = Curve(SIZE, SIZE[::-1], "orbit")
-    band = Curve(RPM, SIZE, "first run", band=0.1 * SIZE)
+    band = Curve(RPM, SIZE, "first run", deviation=0.1 * SIZE)
     panels = (
         Panel(
             "probe <!--<script>", "rotor speed (rpm)", (Axes((band,), "amplitude (µm pk-pk)", quantity="amplitude"),)

@@ -80,14 +80,13 @@ def test_a_report_has_what_an_engineer_asks_for(name: str) -> None:
         "damping",
         "fit",
         "campbell",
-        "stability",
         "prediction",
+        *(["spectra", "centreline", "held-out"] if name == "measured_demo" else []),
     ]
-    figures += ["spectra", "centreline", "held-out"] if name == "measured_demo" else []
     for figure in figures:
         assert f'id="figure-{figure}"' in text, figure
     assert json.loads((ARTIFACTS / name / "training.json").read_text())["data_fingerprint"] in text
-    assert_says(text, "±", "verification")
+    assert_says(text, "±", "verification", "Stability map")
     asked = ["What was asked?", "What is the answer?", "What may be relied on?", "What is to be done next?"]
     first = text[text.index('<section id="answer">') :]
     assert re.findall(r"<td[^>]*>(What [^<]*\?)</td>", first[: first.index("</section>")]) == asked
@@ -189,7 +188,7 @@ def list_contradictions(folder: Path) -> list[str]:
         wrong += [critical[1]] if critical[1] != (", ".join(
             f"{row[1]} rpm (logarithmic decrement {row[2]})" for row in listed) or "none") else []  # fmt: skip
         stable = re.search(r"smallest logarithmic decrement ([\d.]+(?: ± [\d.]+)?) at", answer)
-        wrong += [] if stable is None or f"logarithmic decrement is {stable[1]}, at" in said else [stable[0]]
+        wrong += [] if stable is None or said.count(f"logarithmic decrement {stable[1]} at") > 1 else [stable[0]]
         wrong += [] if ("stable at all speeds" in answer) == ("identified machine is stable" in said) else ["stable"]
     return wrong
 

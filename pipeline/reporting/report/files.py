@@ -174,7 +174,8 @@ def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[
     trace = about | _describe_look(curve) | {"hoverinfo": "skip" if curve.filled or not curve.label else "all"}
     if kind == "r":
         return [trace | {"type": "scatterpolar", "theta": _round(curve.x), "r": _round(high * curve.y)}]
-    trace |= {"type": "scatter", "x": _round(wide * curve.x), "y": _round(high * curve.y), "opacity": curve.alpha}
+    x, y = (scale * values[:: curve.every] for scale, values in ((wide, curve.x), (high, curve.y)))
+    trace |= {"type": "scatter", "x": _round(x), "y": _round(y), "opacity": curve.alpha}
     trace |= {"fill": "toself", "fillcolor": _fade(curve.colour, 0.25)} if curve.filled else {}
     x, least, most = curve.edges(logarithmic)
     band = about | {"type": "scatter", "mode": "lines", "name": "", "line": {"width": 0}, "hoverinfo": "skip"}

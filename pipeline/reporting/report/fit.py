@@ -42,7 +42,7 @@ from pipeline.reporting.coefficient_figures import (
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
-from pipeline.trust.misfit import measure_misfit
+from pipeline.trust.misfit import describe_readings, measure_misfit
 from pipeline.write_numbers import write_number
 
 _MOST_TABLES, _ROWS = 4, 5
@@ -211,24 +211,12 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
 
 
 def _write_quality(training: Mapping[str, Any]) -> str:
-    quality = training.get("fit")
-    outcome = f"The fit ended as: {str(training.get('outcome', 'unknown')).replace('_', ' ')}."
-    if not quality:
-        residual = training.get("residual", {}).get("mean_over_bearing_force")
-        share = write_number(residual and 100 * residual, digits=2)
-        left = f"It leaves {share} % of the bearing forces over (mean)."
-        return f"{outcome} {left} Its loss weighs no noise, so there is no chi-square."
-    square, white, misfit = quality["chi_square"], quality["whiteness"], measure_misfit(quality)
-    ratio = float(np.sqrt(square["value"] / square["expected"]))
-    levels = "noise and what the model may be off by" if "inconsistent_runs" in quality else "noise"
-    explained = f"{misfit.sentence[0].upper()}{misfit.sentence[1:]}."
-    explained += "" if misfit.explained() else " What is left is systematic, and the deviations are too small."
-    return (
-        f"{outcome} Chi-square is {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
-        f"{ratio:.2f} times as far off as their {levels}. Neighbouring residuals correlate by "
-        f"{write_number(white['autocorrelation'], digits=2)} ({write_number(white['over_its_deviation'], digits=2)} "
-        f"deviations). {explained} Readings beyond 4 deviations: {quality['bad_points'] or 'none'}."
-    )
+    outcome, told = str(training.get("outcome", "unknown")).replace("_", " "), describe_readings(training)
+    if "fit" not in training:
+        told.append("its loss weighs no noise, so there is no chi-square")
+    elif not measure_misfit(training["fit"]).explained():
+        told[2] += ". What is left is systematic, and the deviations are too small"
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in (f"the fit ended as: {outcome}", *told))
 
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:

@@ -15,13 +15,12 @@ from pipeline.problem.determination import read_determined
 from pipeline.reporting.blocks import Block, Cell, Figure, Mark, Section, Table
 from pipeline.reporting.coefficient_figures import UNITS
 from pipeline.reporting.content import FitContent, ReportContent, list_reservations
-from pipeline.reporting.diagnosis import list_determined
+from pipeline.reporting.diagnosis import list_bearings, list_determined
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
 from pipeline.reporting.report.fit import describe_coefficients, describe_fit, describe_held_out
 from pipeline.reporting.report.measured import describe_machine, describe_measured
 from pipeline.reporting.report.twin import describe_modes, describe_response
-from pipeline.reporting.summary import describe_data, describe_stability, list_critical_speeds
-from pipeline.reporting.summary_figure import draw_kind
+from pipeline.reporting.summary import describe_data, describe_stability, draw_kind, list_critical_speeds
 from pipeline.reporting.twin import summarize_modes
 from pipeline.trust.judgement import AS_FELT
 from pipeline.write_numbers import write_number
@@ -148,20 +147,7 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_diagnosis(content: ReportContent) -> list[Block]:
     """What the data determine before any fit: rank, condition, deviations."""
     diagnosis = content.files["diagnosis"]
-    noise, expected, rows = diagnosis["stated_noise"], diagnosis["determined"], []
-    for node, bearing in diagnosis["bearings"].items():
-        least, most = bearing["rank"]["least"], bearing["rank"]["most"]
-        condition, worst = (write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max"))
-        rank = f"{least}" if least == most else f"{least} to {most}"
-        rows.append(
-            [
-                f"node {node}",
-                bearing["verdict"],
-                f"{rank} of {bearing['unknowns']}",
-                f"{condition}, worst {worst}",
-                bearing["least_determined"],
-            ]
-        )
+    noise, expected = diagnosis["stated_noise"], diagnosis["determined"]
     return [
         (
             f"Before the fit, at each speed by itself, at {100 * noise['multiplicative']:g} % and "
@@ -173,11 +159,7 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
             for node, bearing in diagnosis["bearings"].items()
             if bearing["reason"]
         ),
-        Table(
-            "What the readings tell of each bearing",
-            ["bearing", "verdict", "rank", "condition number", "combination known least"],
-            rows,
-        ),
+        list_bearings("What the readings tell of each bearing", diagnosis["bearings"]),
         list_determined(
             f"Expected standard deviation, {expected['by']} (median over the speed)",
             read_determined(expected["coefficients"]),

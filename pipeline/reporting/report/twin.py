@@ -4,43 +4,30 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
 from pipeline.data.dataset import synchronous
-from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.conventions import GRAM_MILLIMETRE
 from pipeline.reporting.blocks import (
-    BLACK,
-    BLUE,
-    DASHES,
-    GREY,
-    LOOKS,
-    ORANGE,
     RPM,
     Amplitude,
     Axes,
     Block,
     Cell,
-    Curve,
     Figure,
     Mark,
     Panel,
     Table,
-    mark,
-    mark_beyond,
-    reach,
 )
 from pipeline.reporting.content import FitContent, ReportContent, list_reservations
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
-from pipeline.reporting.twin import CRITICAL, follow_lines, list_critical, measure_sizes, show, summarize_modes
-from pipeline.twin.mode_deviations import Behaviour
+from pipeline.reporting.summary import describe_stability
+from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
 from pipeline.twin.twin import Twin
-from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 
@@ -52,18 +39,12 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
     rpm, identified = to_rpm(behaviour.modes.speeds), cast("Mapping[str, Any]", summarize_modes(behaviour, running))
     stability = identified["stability"]
-    verdict = stability["verdict"]
-    told = {"stable": "stable", "not told": "at the edge of stability, its growth not told from none,"}
     known = stability.get("largest_growth_std") or 0.0
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
-    said = f"{told.get(verdict, 'UNSTABLE')} {_name_range(rpm)}{fit.state}"
-    text = f"The identified machine is {said}; the largest growth rate is {growth} 1/s."
-    least = stability["smallest_logarithmic_decrement"]
-    if least is not None:
-        text += (
-            f" The smallest logarithmic decrement is {show(stability, 'smallest_logarithmic_decrement')}, at "
-            f"{write_number(stability['at_rpm'], digits=6)} rpm (modes up to twice the top speed)."
-        )
+    text = (
+        f"The identified machine is {describe_stability(stability)} ({_name_range(rpm)}{fit.state}, modes up to twice "
+        f"the top speed); the largest growth rate is {growth} 1/s."
+    )
     text += (
         " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
         "with an amplification factor below 2.5 is critically damped. "
@@ -73,14 +54,10 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     beyond = "the bands grow there, and rest on the model of the coefficients alone."
     return [
         *list_reservations(content),
-        Mark("warning" if verdict == "unstable" else "", text),
+        Mark("warning" if stability["verdict"] == "unstable" else "", text),
         *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
         _list_critical_speeds(rpm, identified["critical_speeds"]),
-        *(
-            ()
-            if len(rpm) < 2
-            else (_draw_campbell(behaviour, identified["critical_speeds"]), _draw_stability(behaviour))
-        ),
+        *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(rpm) > 1 else ()),
     ]
 
 
@@ -95,50 +72,6 @@ def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table
         "Damped critical speeds",
         ["critical speed", *CRITICAL],
         [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)],
-    )
-
-
-def _draw_campbell(behaviour: Behaviour, critical: Mapping[str, Any]) -> Figure:
-    rpm, (frequency, deviation, *_) = to_rpm(behaviour.modes.speeds), follow_lines(behaviour)
-    shown = np.flatnonzero(np.nanmin(frequency, axis=0, initial=np.inf) <= 2.2 * rpm[-1] * RAD_S_PER_RPM)
-    curves = [
-        Curve(
-            rpm,
-            frequency[:, k] / RAD_S_PER_RPM,
-            f"mode {i + 1}",
-            LOOKS[i % 8][0],
-            DASHES[i % 4],
-            band=NOMINAL_95 * deviation[:, k] / RAD_S_PER_RPM,
-        )
-        for i, k in enumerate(shown)
-    ]
-    curves.append(Curve(rpm, rpm, "1X", BLACK, "solid", width=1.0))
-    crossings = np.array([mode["rpm"] for mode in critical.values()])
-    curves += [Curve(crossings, crossings, "critical speed", BLACK, "none", "o")] if len(crossings) else []
-    axes = Axes(curves, "frequency (cycles/min)", y_range=(0.0, 2.2 * float(rpm[-1])))
-    return Figure(
-        "campbell",
-        "Damped natural frequencies of the modes, followed by their shapes; over-damped ones have none.",
-        [Panel("Campbell diagram", RPM, [axes], wide=True)],
-    )
-
-
-def _draw_stability(behaviour: Behaviour, highest: float = 1.5, points: int = 60) -> Figure:
-    """Decrements below the ``highest``: what is damped more, nobody asks for. About so many ``points`` a mode."""
-    rpm, (frequency, _, decrement, deviation) = to_rpm(behaviour.modes.speeds), follow_lines(behaviour)
-    within = np.where(frequency <= 2.0 * behaviour.modes.speeds.max(), decrement, np.nan)
-    every, curves = slice(None, None, max(1, len(rpm) // points)), []
-    for i, k in enumerate(np.flatnonzero(np.isfinite(within).any(axis=0)).tolist()):
-        drawn = mark(rpm, within[:, k], f"mode {i + 1}", *LOOKS[i % 8], count=points)
-        curves.append(replace(drawn, band=NOMINAL_95 * deviation[every, k]))
-    curves.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, "solid", width=1.0))
-    limits = (min(-0.1, 1.1 * reach(within)[0]), highest)
-    curves += mark_beyond(curves, limits[0], np.inf)
-    return Figure(
-        "stability",
-        "Logarithmic decrement of the modes up to twice the top speed, followed by their shapes, where it is below "
-        f"{highest:g}. Below zero the machine is unstable; API RP 684 asks for 0.1 at least.",
-        [Panel("Stability map", RPM, [Axes(curves, "logarithmic decrement", y_range=limits)], wide=True)],
     )
 
 
@@ -219,10 +152,6 @@ def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.
 def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
     """The twin's vibration under the unbalance that no run has, with its band."""
     predicted, asked = twin.vibration["identified"], content.config.machine.prediction
-    curves, (sizes, deviations) = [], measure_sizes(predicted, 1.0)
-    for d, (direction, colour, dash) in enumerate((("x", BLUE, "solid"), ("y", ORANGE, "dash"))):
-        band = NOMINAL_95 * deviations[:, d]
-        curves.append(Curve(to_rpm(predicted.speeds), sizes[:, d], f"{direction} predicted", colour, dash, band=band))
     acting = "; ".join(
         f"node {unbalance.node}: "
         + describe_weight(unbalance.magnitude / GRAM_MILLIMETRE, float(np.degrees(unbalance.phase)))
@@ -231,5 +160,5 @@ def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
     at = f",{fit.state}" if fit.state else ""
     stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
     caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting}){at}{stated}."
-    axes = Axes(curves, AMPLITUDE, quantity="amplitude")
+    axes = Axes(draw_sizes(twin.vibration, 1.0), AMPLITUDE, quantity="amplitude")
     return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])
