@@ -11,7 +11,7 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.records import average_records, judge_together, shift_to_day, predict_records
+from pipeline.balance.records import average_records, judge_together, predict_records, shift_to_day
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.errors import DataError
 from pipeline.ingest.records import Records
