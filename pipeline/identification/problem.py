@@ -213,11 +213,9 @@ class OutputError(LeastSquares):
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
-        readings, whitened = self.readings, []
-        for b, predicted in enumerate(self.predicted(weights)):
-            off = readings.subtract_from(b, predicted)[..., None]
-            whitened.append(readings.mix(b, readings.whiten(b, off))[..., 0])
-        return whitened
+        readings = self.readings
+        every = [readings.subtract_from(b, predicted)[..., None] for b, predicted in enumerate(self.predicted(weights))]
+        return [readings.mix(b, readings.whiten(b, off))[..., 0] for b, off in enumerate(every)]
 
     def _local(self, weights: torch.Tensor) -> Iterator[torch.Tensor]:
         """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of each block: derivatives of the readings over their own
@@ -283,20 +281,16 @@ class OutputError(LeastSquares):
         if readings.mixing or (readings.tied and not self.measurement.dataset.complete):
             columns = self.columns(weights)
             return columns.mT @ columns
-        products, beside, tie = [], [], readings.correlation
-        for rows in self._local(weights):
-            local = rows.flatten(2, 3)
-            parts = torch.cat([local.real, local.imag], dim=2)
-            products.append(parts.mT @ parts)
-            if tie > 0:
-                beside.append(parts[:, 1:].mT @ parts[:, :-1])
-        alone = torch.stack(products).sum(0)
-        if not beside:
+        local = torch.cat([rows.flatten(2, 3) for rows in self._local(weights)], dim=2)
+        parts = torch.cat([local.real, local.imag], dim=2)
+        alone, tie = parts.mT @ parts, readings.correlation
+        if tie == 0:
             return self._spread(alone, weights)
         # The inverse of a correlation that falls with each step is tridiagonal.
         inner = alone[:, 1:-1] * (1 + tie**2)
         diagonal = torch.cat([alone[:, :1], inner, alone[:, -1:]], dim=1) / (1 - tie**2)
-        across = self._spread(-tie / (1 - tie**2) * torch.stack(beside).sum(0), weights, 1)
+        beside = parts[:, 1:].mT @ parts[:, :-1]
+        across = self._spread(-tie / (1 - tie**2) * beside, weights, 1)
         return self._spread(diagonal, weights) + across + across.mT
 
     def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:
@@ -306,10 +300,29 @@ class OutputError(LeastSquares):
         import torch
 
         carrier, n_active, (place, number) = self.carrier(weights), len(self.active), self.carried
-        by_weights = self._by_weights(local[..., :n_active], carrier[:, : carrier.shape[1] - after])
-        columns = torch.cat([by_weights, local[..., n_active:]], dim=-1)  # (G, S, A + .. + 1, Z + 1)
-        by_outputs = torch.einsum(f"{place},gsan->g{number}n", carrier[:, after:], columns[:, :, :n_active])
-        return torch.cat([by_outputs.flatten(1, 2), columns[:, :, n_active:].sum(1)], dim=1)
+        later, before = carrier[:, after:], carrier[:, : carrier.shape[1] - after]
+        right = torch.einsum(f"{place},gsan->g{number}n", later, local[:, :, :n_active, n_active:])
+        left = torch.einsum(f"{place},gsna->gn{number}", before, local[:, :, n_active:, :n_active])
+        within = self._spread_outputs(local[:, :, :n_active, :n_active], later, before)
+        below = torch.cat([left.flatten(2), local[:, :, n_active:, n_active:].sum(1)], dim=-1)
+        return torch.cat([torch.cat([within, right.flatten(1, 2)], dim=-1), below], dim=1)
+
+    def _spread_outputs(self, local: torch.Tensor, later: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+        """(G, A K, A K) of the coefficients' numbers, from products (G, S, A, A) of the outputs, and the carriers.
+
+        All outputs of two members have the same products of features.
+        """
+        import torch
+
+        member, kept, size = np.array([m for m, _ in self.active]), self.kept.flatten(), self.features.shape[-1]
+        products = local.new_zeros(len(local), len(member), size, len(member), size)
+        for m, n in np.ndindex(len(self.features), len(self.features)):
+            rows, columns = np.flatnonzero(member == m), np.flatnonzero(member == n)
+            pairs = self.features[m, -later.shape[1] :, :, None] * self.features[n, : before.shape[1], None]
+            products[:, rows[:, None], :, columns] = torch.einsum(
+                "gsab,skl->abgkl", local[:, :, rows][..., columns], pairs
+            )
+        return products.flatten(3).flatten(1, 2) * (kept[:, None] & kept)
 
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""
@@ -323,18 +336,28 @@ class OutputError(LeastSquares):
         """(G, S, P, R, Z + 1) complex of every block, as :meth:`columns`."""
         import torch
 
-        blocks, carrier = [], self.carrier(weights)
+        blocks, carrier, (place, number) = [], self.carrier(weights).to(torch.complex128), self.carried
         for b, local in enumerate(self._local(weights)):
             by_output, rest = local[..., : len(self.active)], local[..., len(self.active) :]
-            blocks.append(self.readings.mix(b, torch.cat([self._by_weights(by_output, carrier), rest], dim=-1)))
+            by_number = torch.einsum(f"gspra,{place}->gspr{number}", by_output, carrier).flatten(-2)
+            blocks.append(self.readings.mix(b, torch.cat([by_number, rest], dim=-1)))
         return blocks
 
+<<<<<<< HEAD
     def _by_weights(self, by_output: torch.Tensor, carrier: torch.Tensor) -> torch.Tensor:
         """(G, S, .., n) by the coefficients' numbers, from derivatives (G, S, .., A) by the model's outputs."""
         import torch
 
         place, number = self.carried
         return torch.einsum(f"gs...a,{place}->gs...{number}", by_output, carrier.to(by_output.dtype)).flatten(-2)
+=======
+    def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
+        """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
+        import torch
+
+        priors = self.prior.rows.expand(len(weights), -1, -1)
+        return torch.cat([self.columns(weights)[..., :-1], priors], dim=1)[:, None]
+>>>>>>> quicker
 
     # --- what is known of the weights --------------------------------------------------------------------
 

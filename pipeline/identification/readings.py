@@ -75,8 +75,7 @@ class Readings:
         import torch
 
         if self.mixing:
-            mixed = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2))
-            rows = torch.unflatten(mixed, 1, rows.shape[1:3])
+            rows = torch.einsum("rij,gjrn->girn", self.mixing[b], rows.flatten(1, 2)).unflatten(1, rows.shape[1:3])
         if self.correlation > 0:
             before, ties = self._ties[b]
             index = before[None, :, None, :, None].expand(len(rows), -1, rows.shape[2], -1, rows.shape[4])

@@ -234,8 +234,7 @@ def search(
             return search(problem.correlated(correlation), choices, seed, kept, most_exact, small)
     shares = (evidence - evidence[0]).exp()
     covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
-    normalised = np.asarray((shares / shares.sum()).numpy())
-    return Searched(whitened.choices, whitened.weights(y), covariance, normalised, problem)
+    return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray(shares / shares.sum()), problem)
 
 
 def _settle(
@@ -305,17 +304,16 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     parameters = tuple(itertools.compress(measurement.parameters, kept))
     simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
     made = output_error(simpler.select(few), problem.basis, problem.plane_scale)
-    made = made.correlated(problem.readings.correlation ** (count / len(few)))
-    return made, torch.tensor(kept, dtype=torch.bool)
+    return made.correlated(problem.readings.correlation ** (count / len(few))), torch.tensor(kept, dtype=torch.bool)
 
 
 def _noise(whitened: Whitened, y: torch.Tensor) -> float:
     """What the precision is to be multiplied by, for the first choice to leave as much as is expected."""
     import torch
 
-    problem = whitened.problem
-    square = float(problem.rows(whitened.weights(y))[0].square().sum())
-    told = y.shape[-1] - float(torch.linalg.inv(whitened.normal(y)[1][0, 0]).diagonal().sum())
+    problem, first, y = whitened.problem, replace(whitened, choices=whitened.choices.select([0])), y[:1]
+    square = float(problem.rows(first.weights(y)).square().sum())
+    told = y.shape[-1] - float(torch.linalg.inv(first.normal(y)[1][0, 0]).diagonal().sum())
     return float(np.sqrt(max(problem.readings.size - told, 1.0) / square))
 
 

@@ -94,11 +94,16 @@ class TrainedNetworks(OutputError):
         """(G, S, A, M, Q) derivative of the active outputs by the networks' parameters."""
         return self._slopes(weights, self.inputs)
 
+    def _spread_outputs(self, local: torch.Tensor, later: torch.Tensor, before: torch.Tensor) -> torch.Tensor:
+        """(G, M Q, M Q), as that of features, for whose numbers those of the networks are."""
+        import torch
+
+        return torch.einsum("gsamq,gsab,gsbnr->gmqnr", later, local, before).flatten(3).flatten(1, 2)
+
     def _slopes(self, weights: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(G, S, A, M, Q) derivative of the active outputs by the networks' parameters: zero but for their own."""
         jacobian = self.model.raw_jacobian(self.networks(weights), inputs)  # (G, M, S, U, Q)
-        shape = (len(weights), len(inputs), len(self.active), jacobian.shape[1], jacobian.shape[-1])
-        slopes = jacobian.new_zeros(shape)
+        slopes = jacobian.new_zeros(len(weights), len(inputs), len(self.active), jacobian.shape[1], jacobian.shape[-1])
         for a, (m, u) in enumerate(self.active):
             slopes[:, :, a, m] = jacobian[:, m, :, u]
         return slopes
