@@ -51,7 +51,7 @@ BUDGETS = {
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (122, 200),
-    "statements of tests/": (12951, 13000),
+    "statements of tests/": (12952, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (689, 380),
     "their files": (106, 75),

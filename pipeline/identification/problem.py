@@ -343,22 +343,6 @@ class OutputError(LeastSquares):
             blocks.append(self.readings.mix(b, torch.cat([by_number, rest], dim=-1)))
         return blocks
 
-<<<<<<< HEAD
-    def _by_weights(self, by_output: torch.Tensor, carrier: torch.Tensor) -> torch.Tensor:
-        """(G, S, .., n) by the coefficients' numbers, from derivatives (G, S, .., A) by the model's outputs."""
-        import torch
-
-        place, number = self.carried
-        return torch.einsum(f"gs...a,{place}->gs...{number}", by_output, carrier.to(by_output.dtype)).flatten(-2)
-=======
-    def jacobian(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, 1, rows + N, Z) derivative of :meth:`rows`, as it orders them: large, :meth:`normal` does without it."""
-        import torch
-
-        priors = self.prior.rows.expand(len(weights), -1, -1)
-        return torch.cat([self.columns(weights)[..., :-1], priors], dim=1)[:, None]
->>>>>>> quicker
-
     # --- what is known of the weights --------------------------------------------------------------------
 
     def covariance(self, weights: torch.Tensor) -> np.ndarray:

@@ -19,12 +19,13 @@ from pipeline.identification.answer import conclude, restore
 from pipeline.identification.blocks import no_prior
 from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.fit import fit_sensors
-from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import nodes_basis
 from pipeline.identification.problem import output_error
 from pipeline.identification.search import Whitened, list_choices, look_beside
 from pipeline.identification.storage import load_model, save_model
-from pipeline.identification.training import Outcome, setup_of
+from pipeline.identification.trained_network import train_from_nodes
+from pipeline.identification.training import FitSetup, Outcome, setup_of
 from pipeline.identification.uncertainty import load_uncertainty, save_uncertainty
 from pipeline.impedance import list_places, to_coordinates
 from pipeline.laws.population import LACKS, make_priors
@@ -102,21 +103,26 @@ def test_a_short_bearing_of_ross_is_a_member_of_the_plain_family(study: Any) -> 
 
 
 @pytest.fixture(scope="module")
-def answer(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
-    """A drawn machine with 1 % + 0.05 um of noise, identified by the default path, and the real coefficients."""
+def setup_and_nodes(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[FitSetup, OutputErrorFit, Any]:
+    """A drawn machine with 1 % + 0.05 um of noise, identified by the default path up to values at the nodes, and the
+    real coefficients."""
     folder = tmp_path_factory.mktemp("noisy")
     felt = study["ordinary"].write_user_files(folder, study["draw"].draw_machine(3), 0.01, 3)
-    config = compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none", f"output={folder / 'answer'}"])
-    return fit_sensors(load_measurement(config), setup_of(config)), felt
+    setup = setup_of(config := compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none"]))
+    return setup, fit_output_error(load_measurement(config), setup), felt
 
 
 @pytest.fixture(scope="module")
-def at_nodes(study: Any, tmp_path_factory: pytest.TempPathFactory) -> OutputErrorFit:
-    """The same, as values at the nodes alone."""
-    folder = tmp_path_factory.mktemp("nodes")
-    study["ordinary"].write_user_files(folder, study["draw"].draw_machine(3), 0.01, 3)
-    config = compose_config([f"machine.file={folder / 'machine.yaml'}", "model=bearings", f"output={folder}"])
-    return fit_sensors(load_measurement(config), setup_of(config))
+def at_nodes(setup_and_nodes: tuple[FitSetup, OutputErrorFit, Any]) -> OutputErrorFit:
+    """Its answer as values at the nodes alone."""
+    return setup_and_nodes[1]
+
+
+@pytest.fixture(scope="module")
+def answer(setup_and_nodes: tuple[FitSetup, OutputErrorFit, Any]) -> tuple[OutputErrorFit, Any]:
+    """Its answer, and the real coefficients."""
+    setup, nodes, felt = setup_and_nodes
+    return train_from_nodes(nodes, setup), felt
 
 
 def test_the_network_is_near_the_nodes(answer: tuple[Any, Any], at_nodes: OutputErrorFit) -> None:

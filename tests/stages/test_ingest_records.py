@@ -54,7 +54,7 @@ NEEDED = (
 )
 
 
-@pytest.mark.parametrize("guess", ["1e4 N/m", "1e8 N/m"])
+@pytest.mark.parametrize("guess", ["1e4 N/m", pytest.param("1e8 N/m", marks=pytest.mark.nightly)])
 def test_the_guess_only_starts_the_fit(artifacts: Artifacts, tmp_path: Path, guess: str) -> None:
     """Two orders to either side of the configured one the same minimum, in which the rotor was solved."""
     config = config_of(artifacts.copied("rk4", NEEDED[:3], tmp_path), f"model.initial_stiffness={guess}")
