@@ -24,7 +24,9 @@ def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) 
     for node in nodes:
         single = bearing.at(node)
         if type(single).make_element is _Bearing.make_element:
-            elements += make_bearings(BearingTable((node,), speeds, single.tabulate(speeds, {}, share, ross())[None]))
+            elements += make_bearings(
+                BearingTable((node,), speeds, single.tabulate(speeds, {}, share, ross())[None]), {}
+            )
         else:
             elements.append(single.make_element(ross(), node, speeds, share))
     seals = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]

@@ -38,6 +38,9 @@ class ModelParametersConfig(Section):
     disc_inertia: PositiveShare | None = None
     coupling_stiffness: Stiffness | None = None
     coupling_mass: Mass | None = None
+    support_stiffness: PositiveFloat | None = None
+    support_damping: PositiveFloat | None = None
+    support_mass: PositiveFloat | None = None
     bearing_position: Length | None = None
     bow: Length | None = None
     unbalance_magnitude: PositiveShare | None = None
@@ -85,6 +88,12 @@ class IdentifyConfig(Section):
     def _lawful(self) -> Iterator[str]:
         if self.shared and self.bearings:
             yield "shared makes all bearings alike, but bearings has exceptions: leave one of them out"
+        support = next((kind for kind in self.model_parameters.deviations if kind.startswith("support_")), "")
+        if support and not self.known_within:
+            yield (
+                f"model_parameters.{support} must have known_within, a factor such as 30, beside it, since film and "
+                "support in series are told apart in part only: give it"
+            )
         if (self.known_stiffness or self.known_damping) and not self.known_within:
             yield "known_stiffness and known_damping must have known_within, a factor such as 30: give it, or neither"
         self.at(-1)

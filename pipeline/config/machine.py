@@ -190,6 +190,8 @@ class MachineConfig(Section):
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):
             yield f"must give every run a name of its own, but got {names}"
+        if self.rotor.supports and self.as_built:
+            yield "as_built must be left out where rotor.supports says what bearings stand on, but both are given"
         if self.rotor.file:
             return
         if self.bearings.saved:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import PositiveInt
 
-from pipeline.config.quantities import Bore, Density, Inertia, Length, Mass, Pressure
+from pipeline.config.quantities import Bore, Damping, Density, Inertia, Length, Mass, Pressure, Stiffness
 from pipeline.config.section import NonNegativeInt, Once, Section, ascending, rule
 
 
@@ -61,21 +61,47 @@ class DiscConfig(Section):
             )
 
 
+class SupportConfig(Section):
+    """What the casing of the bearing at ``node`` stands on, in x and in y, and the mass that moves with it."""
+
+    node: NonNegativeInt
+    mxx: Mass
+    myy: Mass
+    kxx: Stiffness
+    kyy: Stiffness
+    cxx: Damping
+    cyy: Damping
+
+    @property
+    def matrices(self) -> dict[str, tuple[float, float]]:
+        """x and y of what RotorModel has matrices of."""
+        return {
+            "mass": (self.mxx, self.myy),
+            "damping": (self.cxx, self.cyy),
+            "stiffness": (self.kxx, self.kyy),
+        }
+
+
 class RotorConfig(Section):
-    """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json)."""
+    """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json).
+
+    ``supports`` are those of bearings on soft ground: the casing of the first is the node after the shaft's last, and
+    so on.
+    """
 
     file: str | None = None
     shaft: tuple[ShaftSegmentConfig, ...] = ()
     material: MaterialConfig | None = None
     discs: tuple[DiscConfig, ...] = ()
     bearing_nodes: Annotated[tuple[NonNegativeInt, ...], Once] = ()
+    supports: tuple[SupportConfig, ...] = ()
     shear_effects: bool = True
     rotary_inertia: bool = True  # of the shaft
 
     @property
     def n_nodes(self) -> int:
-        """Nodes of the shaft; a rotor of a file has its own."""
-        return sum(segment.elements for segment in self.shaft) + 1
+        """Nodes of the shaft and casings; the shaft of a file has its own."""
+        return sum(segment.elements for segment in self.shaft) + 1 + len(self.supports)
 
     @rule
     def _nodes_exist(self) -> Iterator[str]:

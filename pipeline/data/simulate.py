@@ -73,8 +73,8 @@ def show_everywhere(
 ) -> VibrationDataset:
     """x and y at every node, of a ``response`` (S, n, R) in m and rad."""
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
-    channels = tuple((node, angle) for node in range(rotor.n_nodes) for angle in DIRECTIONS.values())
-    measured = [translation_dof(node, direction) for node in range(rotor.n_nodes) for direction in range(TRANSLATIONS)]
+    channels = tuple((node, angle) for node in range(rotor.n_places) for angle in DIRECTIONS.values())
+    measured = [translation_dof(node, direction) for node in range(rotor.n_places) for direction in range(TRANSLATIONS)]
     shown = response[:, measured]
     return VibrationDataset(
         bearings.speeds, runs, channels, shown, excitations, own_frequencies, operating=bearings.operating

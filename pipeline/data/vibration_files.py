@@ -126,7 +126,7 @@ def read_dataset(
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    dataset = read_measured(vibration, excitation, baseline, rotor.n_nodes, same)
+    dataset = read_measured(vibration, excitation, baseline, rotor.n_places, same)
     require_made_for(vibration, rotor)
     return dataset
 

@@ -203,7 +203,7 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
     for exported in states:
         made = export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")
-        elements = make_bearings(exported.table)
+        elements = make_bearings(exported.table, {})
         for element in elements:
             element.save(folder / f"bearing_node_{element.n}{exported.suffix}.toml")
         off.append(_compare(config, updated, exported.table, read_table(elements, exported.table.speeds)))

@@ -34,6 +34,7 @@ def conclude(fit: OutputErrorFit) -> Fit:
                 "prior_deviation": number.parameter.deviation,
                 "value": number.value * number.parameter.deviation,
                 "deviation": number.deviation * number.parameter.deviation,
+                **number.number,
             }
             for number in parameters
         }

@@ -23,6 +23,7 @@ from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
 from pipeline.problem.slopes import invert
+from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -67,7 +68,9 @@ class Combinations:
 
     strongest: Combination
     weakest: Combination
-    parameters: Mapping[str, tuple[float, float]]  # kind -> least and most of the tolerances that the data leave
+    parameters: Mapping[
+        str, tuple[float, float]
+    ]  # kind, or number of a support -> least and most left of the tolerances
     next_run: NextRun | None  # none that was tried helps
 
 
@@ -90,7 +93,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
     ]
     ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
     left, spans = np.sqrt(np.diag(covariance)[problem.places.parameters]), {}
-    kinds = [parameter.kind for parameter in measurement.parameters]
+    kinds = [p.name if p.kind in OF_SUPPORT else p.kind for p in measurement.parameters]
     for kind in dict.fromkeys(kinds):
         deviations = [float(value) for value, other in zip(left, kinds, strict=True) if other == kind]
         spans[kind] = (min(deviations), max(deviations))

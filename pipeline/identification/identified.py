@@ -100,6 +100,15 @@ class FittedParameter:
     value: float  # 0 is what was stated
     deviation: float  # posterior; 1 where the data tell nothing of it
 
+    @property
+    def number(self) -> dict[str, float]:
+        """A support's own number and its deviation, SI; empty for what is a change of something stated."""
+        if not self.parameter.stated:
+            return {}
+        size = self.parameter.deviation
+        number = self.parameter.stated * self.parameter.slope(self.value)
+        return {"number": number, "number_deviation": number * size * self.deviation}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:

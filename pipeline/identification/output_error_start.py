@@ -29,6 +29,7 @@ from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.kalman_filter import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -108,7 +109,27 @@ def _start_by_coefficients(
     shape = (unknowns.n_members, len(training.dataset.speeds), len(unknowns.names))
     guess = np.broadcast_to(initial_guess(setup, unknowns)[:, None], shape)
     weights = torch.cat([start_at(problem, size * guess) for size in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)])
+    if any(parameter.kind in OF_SUPPORT for parameter in training.parameters):
+        weights = _approach(problem, weights[1::2], setup.optimizer.levenberg_marquardt)
     return problem, {"weights": weights, "from_guess": True, "filtered": _filter(training)}
+
+
+def _approach(
+    problem: OutputError, weights: torch.Tensor, config: LevenbergMarquardtConfig, factor: float = 4.0
+) -> torch.Tensor:
+    """The starts (G, 1, Z) as constants that fit ever more exact readings, from such as they miss by their noise.
+
+    Film and support in series have many minima, of which exact readings take the nearest; rough ones have few, and the
+    priors hold what they don't tell. Each time the readings are a ``factor`` more exact.
+    """
+    limited = problem.truncated(1)
+    weights = problem.with_features(weights, 1)
+    count = 1 + int(np.log(max(float(limited.loss(weights).min()), 1.0)) / np.log(factor))
+    for turn in range(count, -1, -1):
+        rough = limited.scaled(factor**-turn)
+        weights = levenberg_marquardt(rough, weights, config, until_still(1e-3), by_diagonal=True)
+    best = limited.loss(weights)[:, 0].nan_to_num(float("inf")).argsort()
+    return limited.with_features(weights[best], problem.features.shape[-1])
 
 
 def align_weights(measurement: Measurement) -> Measurement:

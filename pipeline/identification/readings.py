@@ -2,8 +2,8 @@
 
 One place where rows are whitened, block by block of runs that share their frequencies.
 
-Legend: G data sets or starts, S speeds, P channels, R runs of a block, B bearings, A active unknowns, N balance planes,
-T model parameters, n columns.
+Legend: G data sets or starts, S speeds, P channels, R runs of a block, B bearings and casings, A active unknowns, N
+balance planes, T model parameters, n columns.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import BASELINE
+from pipeline.problem.model_parameters import BASELINE, support_change
 from pipeline.problem.response import (
     ResponseBlock,
     derive,
@@ -25,6 +25,7 @@ from pipeline.problem.response import (
     impedance_change,
     respond,
 )
+from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -174,7 +175,10 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class SensorModel:
-    """The response of a measurement's rotor, of first order in the model parameters about those it was solved at."""
+    """The response of a measurement's rotor, of first order in the model parameters about those it was solved at.
+
+    Bearings and supports are exact: they act at the few places where they stand.
+    """
 
     measurement: Measurement
     whole: Measurement  # with the baseline as the last run, where bearings drift and it was taken off
@@ -193,17 +197,45 @@ class SensorModel:
         import torch
 
         influence = self.measurement.unknowns.influence
-        return torch.as_tensor(influence.reshape(influence.shape[0] * influence.shape[1], -1))
+        every = np.pad(influence, ((0, len(self.measurement.rotor.casings)), (0, 0), (0, 0)))
+        return torch.as_tensor(every.reshape(every.shape[0] * every.shape[1], -1))
 
     @cached_property
-    def _known(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """(S, 8 B) N/m and N s/m, the other coefficients, zero where identified; (S, 8 B, T) their derivative."""
+    def _known(self) -> torch.Tensor:
+        """(S, 8 B) N/m and N s/m, the other coefficients, zero where identified; supports are as they were solved."""
         import torch
 
         measurement, n_speeds = self.measurement, len(self.measurement.dataset.speeds)
         others = np.where(measurement.unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
-        slopes = measurement.known_variation.reshape(n_speeds, len(self._influence), len(self.solved_at))
-        return torch.as_tensor(others.swapaxes(0, 1).reshape(n_speeds, -1)), torch.as_tensor(slopes)
+        every = np.pad(others, ((0, len(measurement.rotor.casings)), (0, 0), (0, 0)))
+        return torch.as_tensor(every.swapaxes(0, 1).reshape(n_speeds, -1))
+
+    @cached_property
+    def _known_slopes(self) -> tuple[torch.Tensor, ...]:
+        """(S, 8 B, T) of each block: how the other coefficients and the supports move with steps of the parameters."""
+        import torch
+
+        measurement, slopes = self.measurement, []
+        for block in self.blocks:
+            changes = support_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
+            every = np.concatenate([measurement.known_variation, changes], axis=1)
+            slopes.append(torch.as_tensor(every.reshape(len(every), len(self._influence), len(self.solved_at))))
+        return tuple(slopes)
+
+    @cached_property
+    def _growth(self) -> torch.Tensor:
+        """(T,) prior deviations of what grows with the exponential of its parameter; zero for what is in proportion."""
+        import torch
+
+        every = [p.deviation if p.kind in OF_SUPPORT else 0.0 for p in self.measurement.parameters]
+        return torch.tensor(every, dtype=torch.float64)
+
+    def _step(self, parameters: torch.Tensor) -> torch.Tensor:
+        """As :meth:`pipeline.rotor.parameters.ModelParameter.step`, (G, T)."""
+        import torch
+
+        growth = self._growth.clamp(min=1e-300)
+        return torch.where(self._growth > 0, (parameters * self._growth).expm1() / growth, parameters)
 
     @cached_property
     def _variations(self) -> tuple[ResponseBlock, ...]:
@@ -219,8 +251,8 @@ class SensorModel:
 
         parameters, runs = self.measurement.parameters, self.whole.dataset.runs
         drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
-        n_bearings = len(self.measurement.rotor.bearing_nodes)
-        scales = torch.zeros(len(runs) if drifting else 0, n_bearings, len(parameters), dtype=torch.float64)
+        n_places = len(self._influence) // 8
+        scales = torch.zeros(len(runs) if drifting else 0, n_places, len(parameters), dtype=torch.float64)
         for t, parameter in drifting:
             scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
         return scales
@@ -229,10 +261,12 @@ class SensorModel:
         """Block b at the model parameters: whole, or run by run where bearings drift between the runs."""
         import torch
 
-        shift, (known, by_parameters) = parameters - self.solved_at, self._known
-        known = known + (by_parameters @ shift[:, None, :, None])[..., 0]
+        shift = (parameters - self.solved_at) * (self._growth == 0)
+        steps = self._step(parameters) - self._step(self.solved_at)
+        known = self._known + (self._known_slopes[b] @ steps[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        scales = torch.zeros(len(self.measurement.rotor.bearing_nodes), len(self.solved_at), dtype=torch.float64)
+        scales = torch.zeros(eight.shape[2], len(self.solved_at), dtype=torch.float64)
+        references = torch.as_tensor(self.measurement.response.references)
         whole, variation = self.blocks[b], self._variations[b] if self._variations else None
         parts = [(whole, variation, scales)]
         if len(self._drift) and variation is not None:
@@ -241,9 +275,7 @@ class SensorModel:
         for block, variation, scale in parts:
             varied = block if variation is None else block.vary(variation, shift)
             factor = 1 + parameters @ scale.mT  # (G, B)
-            change = impedance_change(
-                eight * factor[:, None, :, None], block.frequencies, self.measurement.response.reference
-            )
+            change = impedance_change(eight * factor[:, None, :, None], block.frequencies, references)
             yield _Placed(varied, variation, change, factor, eight, scale)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
@@ -276,13 +308,14 @@ class SensorModel:
         """
         import torch
 
-        every = [self._derive(placed, unbalance) for placed in self._place(b, values, parameters)]
+        slopes = self._known_slopes[b] * (parameters * self._growth).exp()[:, None, None]  # (G, S, 8 B, T)
+        every = [self._derive(placed, unbalance, slopes) for placed in self._place(b, values, parameters)]
         readings, by_unknowns, by_planes, by_parameters = (
             self._join(b, torch.cat(parts, dim=3)) for parts in zip(*every, strict=True)
         )
         return readings, by_unknowns, by_planes, by_parameters
 
-    def _derive(self, placed: _Placed, unbalance: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def _derive(self, placed: _Placed, unbalance: torch.Tensor, slopes: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """As :meth:`derive`, of a part of a block."""
         import torch
 
@@ -297,8 +330,8 @@ class SensorModel:
         by_parameters = torch.zeros(*shape, len(self.solved_at), dtype=kind)
         if placed.variation is not None:
             by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
-            by_known = by_coefficient @ self._known[1].to(kind)[:, None]
-            by_parameters = by_model + by_known + by_scale @ placed.scale.to(kind)
+            by_known = by_coefficient @ slopes.to(kind)[:, :, None]
+            by_parameters = by_model * (self._growth == 0) + by_known + by_scale @ placed.scale.to(kind)
         return response.sensors, by_coefficient @ self._influence.to(kind), by_planes, by_parameters
 
 

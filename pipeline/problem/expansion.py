@@ -30,7 +30,7 @@ class Expansion:
     def residual_covariance(self, equations: ResponseEquations, bearings: BearingTable) -> np.ndarray:
         """(S, R, 2 B, 2 B) complex, N^2: ``dr = (I + dH a_bb) df``, near the ``bearings``."""
         result = np.empty_like(self.force_covariance)
-        for block in equations.blocks:
+        for block in equations.films:
             change = equations.change(bearings, block)[:, None]
             factor = np.eye(change.shape[-1]) + change @ self.receptance[:, block.runs]
             result[:, block.runs] = factor @ self.force_covariance[:, block.runs] @ factor.conj().swapaxes(-1, -2)
@@ -55,7 +55,7 @@ def expand(
     force = np.empty((n_speeds, count, n_runs), dtype=complex)
     displacements, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
     covariance = np.empty_like(receptance)
-    for block in equations.blocks:
+    for block in equations.films:
         for i, run in enumerate(block.runs):
             here = np.isfinite(deviation[:, :, run]).all(axis=1)
             weight = 1.0 / np.where(here[:, None], deviation[:, :, run], 1.0)

@@ -36,7 +36,7 @@ def update_unknowns(data: Measurement, values: np.ndarray, measured: np.ndarray,
     table, equations = data.table(values), data.response
     force = np.empty((len(table.speeds), 2 * len(table.nodes), measured.shape[2]), dtype=complex)
     displacements = np.empty_like(force)  # at the bearings; the force is that of the bearings on the shaft
-    for block in equations.blocks:
+    for block in equations.films:
         response = respond(block, equations.change(table, block))
         impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
         bearing = _product(impedance, response.bearings)

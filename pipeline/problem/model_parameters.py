@@ -10,22 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.dataset import VibrationDataset, name_direction, project_direction, synchronous
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, name_direction, project_direction, synchronous
 from pipeline.errors import ConfigError
 from pipeline.problem.force_parameters import PARTS, number_excitations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import shaft_rows
-from pipeline.rotor.model import RotorModel
+from pipeline.rotor.model import RotorModel, casing_dof
 from pipeline.rotor.parameters import (
     OF_ALL_WEIGHTS,
     OF_COUPLING,
     OF_DISC,
     OF_PROBE,
     OF_SHAFT,
+    OF_SUPPORT,
     OF_WEIGHT,
     ModelParameter,
 )
@@ -48,6 +50,9 @@ def model_parameters(
     places = _list_places(rotor, dataset, known, unknowns)
     for kind, deviation in deviations.items():
         kind_parameters = [ModelParameter(kind, deviation, *place) for place in places.get(kind, ())]
+        if kind in OF_SUPPORT:
+            held = np.diagonal(getattr(rotor, OF_SUPPORT[kind][0]))[casing_dof(rotor)].ravel()
+            kind_parameters = [replace(p, stated=float(n)) for p, n in zip(kind_parameters, held, strict=True)]
         if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
                 raise ConfigError(
@@ -117,7 +122,10 @@ def usual_deviations(
 _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
     **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS), "no run with an unbalance"),
+    **dict.fromkeys(OF_SUPPORT, "no support (machine.rotor.supports)"),
+    "bearing_position": "bearings on soft ground",
     "known_coefficients": "no known coefficient other than zero",
+    "probe_position": "probes on casings alone",
     "runout": "no run that turns with the rotor and that no baseline was subtracted from",
     "bow": "no run that turns with the rotor and that no baseline was subtracted from, or no disc between or beyond "
     "two bearings",
@@ -158,6 +166,9 @@ def _list_places(
     ]
     discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
     probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
+    on_shaft = [probe for probe in probes if dataset.channels[probe[1]][0] < rotor.n_nodes]
+    casings = [(node, rotor.n_nodes + i) for i, node in enumerate(rotor.casings)]
+    supports = [(f"node {node} {axis}", casing, axis) for node, casing in casings for axis in DIRECTIONS]
     shown = dataset.subtracted is None and turns_with_rotor(dataset).any()
     bent = [(label, node) for label, node, _ in discs if node not in rotor.bearing_nodes]
     free = np.argwhere(~unknowns.identified & known.values.any(axis=1))
@@ -166,21 +177,23 @@ def _list_places(
         **dict.fromkeys(OF_DISC, discs),
         **dict.fromkeys(OF_WEIGHT, weights),
         **dict.fromkeys(OF_PROBE, probes),
+        **dict.fromkeys(OF_SUPPORT, supports),
         "bearing_drift": [
             (f"node {node} {run or 'baseline'}", b, run)
             for b, node in enumerate(rotor.bearing_nodes)
             for run in (*dataset.runs, *([] if dataset.subtracted is None else [BASELINE]))
         ],
+        "probe_position": on_shaft,
         "weight_angle": everywhere if weights else [],
         "weight_law": [(component, 0, component) for component in parts if weights],
-        "bearing_position": [(f"node {node}", b, "") for b, node in enumerate(rotor.bearing_nodes)],
+        "bearing_position": [(f"node {n}", b, "") for b, n in enumerate(rotor.bearing_nodes) if not rotor.casings],
         "bow": [
             (f"{label} {component}", node, component)
             for label, node in bent
             for component in parts
             if shown and len(rotor.bearing_nodes) > 1
         ],
-        "runout": [(f"{label} {component}", p, component) for label, p, _ in probes for component in parts if shown],
+        "runout": [(f"{label} {component}", p, component) for label, p, _ in on_shaft for component in parts if shown],
         "known_coefficients": [(f"{COEFFICIENTS[c]} node {known.nodes[b]}", int(b), COEFFICIENTS[c]) for b, c in free],
     }
 
@@ -263,6 +276,28 @@ def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParamet
         replace(parameter, deviation=0.0, place=0) if parameter.kind in kept_out else parameter
         for parameter in parameters
     )
+
+
+# --- supports ------------------------------------------------------------------------------------------
+
+
+def support_change(parameters: Sequence[ModelParameter], rotor: RotorModel, frequencies: np.ndarray) -> np.ndarray:
+    """(S, C, 8, T) what one deviation of each parameter changes of the casings' supports, N/m and N s/m.
+
+    At ``frequencies`` w (S,) rad/s, where a mass m is the stiffness ``-w^2 m``.
+    """
+    result = np.zeros((len(frequencies), len(rotor.casings), len(COEFFICIENTS), len(parameters)))
+    share: dict[str, tuple[str, Any]] = {
+        "support_stiffness": ("k", 1.0),
+        "support_damping": ("c", 1.0),
+        "support_mass": ("k", -(frequencies**2)),
+    }
+    for t, parameter in enumerate(parameters):
+        if parameter.kind in OF_SUPPORT:
+            letter, factor = share[parameter.kind]
+            c = COEFFICIENTS.index(letter + 2 * parameter.detail)
+            result[:, parameter.place - rotor.n_nodes, c, t] = parameter.deviation * parameter.stated * factor
+    return result
 
 
 # --- known coefficients --------------------------------------------------------------------------------

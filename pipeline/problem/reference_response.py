@@ -1,9 +1,12 @@
 """The rotor on reference bearings, solved: what :mod:`pipeline.problem.response` starts from, and its derivatives.
 
+Casings are places besides the bearings, where nothing changes until a support does.
+
 With ``D X = right`` on the reference bearings, a parameter of the model moves the solution by
 ``dX = D^-1 (d right - dD X)``, with the same factors for all of them.
 
-Legend: S speeds, P channels, R runs, B bearings, N balance planes, T model parameters, n lateral DOF. SI units.
+Legend: S speeds, P channels, R runs, B bearings and casings, N balance planes, T model parameters, n lateral DOF. SI
+units.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from pipeline.problem.model_parameters import runout, sensor_change, sensor_matr
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.interpolation import bearing_places, shaft_rows
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
+from pipeline.rotor.model import TRANSLATIONS, RotorModel, casing_dof, translation_dof
 from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
@@ -53,7 +56,8 @@ def _solved(
     forces, of 1 kg m at each plane, of 1 N at each bearing. Each run's own response is at its own frequencies.
     """
     speeds, places = dataset.speeds, bearing_places(rotor)
-    impedance, loads = _impedance(rotor, len(speeds), reference), places.loads(rotor.n_dof)
+    held = np.eye(rotor.n_dof)[:, casing_dof(rotor).ravel()]
+    impedance, loads = _impedance(rotor, len(speeds), reference), np.hstack([places.loads(rotor.n_dof), held])
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     if bow is not None:
         forces = forces + bow[:, None] * turns_with_rotor(dataset)
@@ -100,6 +104,11 @@ def _impedance(rotor: RotorModel, n_speeds: int, reference: complex) -> np.ndarr
     return bearing_places(rotor).spread(blocks)
 
 
+def _show(rotor: RotorModel, response: np.ndarray) -> np.ndarray:
+    """(S, 2 B, ..) at bearings and casings, of a response (S, n, ..)."""
+    return np.concatenate([bearing_places(rotor).show(response), response[:, casing_dof(rotor).ravel()]], axis=1)
+
+
 def response_equations(
     rotor: RotorModel,
     dataset: VibrationDataset,
@@ -113,11 +122,11 @@ def response_equations(
     ``sensors`` (P, n) is what the channels show; None for what the data set says of them. ``bow`` (n,) N, complex, is a
     force that turns with the shaft in every run that does.
     """
-    places, reference = bearing_places(rotor), stiffness * (1 + 1j * REFERENCE_LOSS)
+    reference = stiffness * (1 + 1j * REFERENCE_LOSS)
     seen = dataset.sensor_matrix(rotor.n_dof) if sensors is None else sensors
     solved = _solved(rotor, dataset, reference, planes, bow)
     blocks = tuple(
-        _split(runs, w, n_planes, places.show(response), seen @ response) for runs, w, n_planes, response in solved
+        _split(runs, w, n_planes, _show(rotor, response), seen @ response) for runs, w, n_planes, response in solved
     )
     return ResponseEquations(rotor.bearing_nodes, dataset.speeds, reference, tuple(planes), blocks)
 
@@ -147,7 +156,7 @@ def response_variations(
         for t, parameter in enumerate(parameters):
             right, beside = np.zeros_like(solved), np.zeros((1, 1))
             if (change := rotor_change(parameter, rotor)) is not None:
-                right -= apply(change, everything, everything, w, speeds, solved)
+                right -= parameter.slope(values[t]) * apply(change, everything, everything, w, speeds, solved)
             if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
                 right[..., forced] += force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
@@ -164,7 +173,7 @@ def response_variations(
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
                 shown[..., forced] += vector[:, None] * turns[runs]
-            at_bearings.append(places.show(response) + beside)
+            at_bearings.append(_show(updated, response) + beside)
             at_sensors.append(shown)
         blocks.append(_split(runs, w, n_planes, np.stack(at_bearings), np.stack(at_sensors)))
     return tuple(blocks)

@@ -52,10 +52,15 @@ class BearingEquations:
 def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEquations:
     """Reduce the equation of motion to the bearings' rows.
 
-    Raises DataError where x or y is not measured at a bearing.
+    Raises DataError where x or y is not measured at a bearing, or one stands on soft ground.
     """
     measured, resolution = dataset.resolution()
     at_bearings = bearing_dof(rotor)
+    if rotor.casings:
+        raise DataError(
+            "The residual needs bearings that stand on the ground, but that of node "
+            f"{rotor.casings[0]} has a support (machine.rotor.supports): loss=response takes any"
+        )
     for node, pair in zip(rotor.bearing_nodes, at_bearings, strict=True):
         for direction, dof in zip(DIRECTIONS, pair, strict=True):
             if dof not in measured:

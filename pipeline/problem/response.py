@@ -9,6 +9,9 @@ bearings). Bearings H = H0 + dH change the force on the shaft by ``-dH q_b``, so
 and a derivative needs no further solution: with ``T = a_sb - a_sb dH (I + a_bb dH)^-1 a_bb``, the receptance of the
 rotor on the bearings H, ``dq_s / dH_ij = -T_i q_bj``.
 
+Where a casing moves (:mod:`pipeline.rotor.soft_ground`) its x and y stand beside those of the bearings, whose
+displacements are then the shaft's less the casing's, and dH has the change of its support.
+
 These equations are written once, for arrays of NumPy and for tensors of torch, which may lead with a batch.
 
 Legend: ``..`` batch, S speeds, P channels, R runs, B bearings, N balance planes. SI units.
@@ -70,6 +73,16 @@ class ResponseBlock:
         sensors, bearings = self.forced_sensors[..., at], self.forced_bearings[..., at]
         return replace(self, runs=self.runs[at], forced_sensors=sensors, forced_bearings=bearings)
 
+    def first_places(self, count: int) -> ResponseBlock:
+        """The same with the first ``count`` displacements of bearings and casings alone."""
+        return replace(
+            self,
+            forced_bearings=self.forced_bearings[..., :count, :],
+            receptance_sensors=self.receptance_sensors[..., :count],
+            receptance_bearings=self.receptance_bearings[..., :count, :count],
+            unit_bearings=self.unit_bearings[..., :count, :],
+        )
+
     def converted(self, convert: Callable[[Array], Array]) -> ResponseBlock:
         """The same with every array but the numbers of the runs as ``convert`` makes it."""
         made = {f.name: convert(getattr(self, f.name)) for f in fields(self) if f.name != "runs"}
@@ -101,8 +114,11 @@ class BlockResponse:
     receptance_bearings: Array  # (.., S, 2 B, 2 B) m/N; likewise
 
 
-def impedance_change(coefficients: Array, frequencies: Array, reference: complex) -> Array:
-    """dH, (.., S, 2 B, 2 B) N/m, from coefficients (.., S, B, 8) at ``frequencies`` (S,) rad/s."""
+def impedance_change(coefficients: Array, frequencies: Array, reference: Array | complex) -> Array:
+    """dH, (.., S, 2 B, 2 B) N/m, from coefficients (.., S, B, 8) at ``frequencies`` (S,) rad/s.
+
+    ``reference`` is that of all places, or (2 B,) of each.
+    """
     library = _library(coefficients)
     eight = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
     blocks = eight[..., 0, :, :] + 1j * frequencies[:, None, None, None] * eight[..., 1, :, :]
@@ -200,6 +216,17 @@ class ResponseEquations:
             result[:, block.runs] = block.frequencies[:, None]
         return result
 
+    @property
+    def films(self) -> tuple[ResponseBlock, ...]:
+        """The blocks without the casings, whose supports are as they were solved with."""
+        return tuple(block.first_places(2 * len(self.bearing_nodes)) for block in self.blocks)
+
+    @property
+    def references(self) -> np.ndarray:
+        """(2 B,) N/m, of bearings and casings: supports count as what changes of them."""
+        count = self.blocks[0].receptance_bearings.shape[-1]
+        return np.where(np.arange(count) < 2 * len(self.bearing_nodes), self.reference, 0.0)
+
     def at(self, keep: np.ndarray, runs: np.ndarray | None = None) -> ResponseEquations:
         """The same at the speeds ``keep`` (mask or index) and for the ``runs`` (indices; None for all)."""
         chosen = np.arange(self.n_runs) if runs is None else runs
@@ -217,10 +244,12 @@ class ResponseEquations:
 
     def sensitivity(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
         """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients."""
-        shape = (len(self.bearing_nodes), 8)
-        return self._gather(
-            lambda block: derive(block, respond(block, self.change(bearings, block), unbalance)), *shape
-        )
+        n_bearings = len(self.bearing_nodes)
+
+        def by_coefficient(block: ResponseBlock) -> Array:
+            return derive(block, respond(block, self.change(bearings, block), unbalance))[..., :n_bearings, :]
+
+        return self._gather(by_coefficient, n_bearings, 8)
 
     def derive_by_unbalance(self, bearings: BearingTable) -> np.ndarray:
         """(S, P, R, N) derivative of :meth:`predict` by the residual unbalance, m over kg m."""
@@ -241,4 +270,6 @@ class ResponseEquations:
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
         """dH, (S, 2 B, 2 B) N/m."""
-        return np.asarray(impedance_change(bearings.values.swapaxes(0, 1), block.frequencies, self.reference))
+        count = block.receptance_bearings.shape[-1]
+        values = np.pad(bearings.values, ((0, count // 2 - len(bearings.values)), (0, 0), (0, 0)))
+        return np.asarray(impedance_change(values.swapaxes(0, 1), block.frequencies, self.references[:count]))

@@ -19,7 +19,7 @@ from pipeline.problem.determination import Deviations, describe_determined, read
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table
-from pipeline.rotor.parameters import UNITS
+from pipeline.rotor.parameters import OF_SUPPORT, UNITS
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number
 
@@ -142,8 +142,9 @@ def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
 
 
 def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]]:
-    """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit."""
-    return {
+    """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit; supports' numbers."""
+    numbers, keys = [number.number for number in every], ("number", "number_deviation")
+    table: dict[str, list[Any]] = {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
         "unit": [UNITS[number.parameter.kind] for number in every],
@@ -151,6 +152,7 @@ def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]
         "value": [number.value * number.parameter.deviation for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
     }
+    return table | {key: [support.get(key, "") for support in numbers] for key in keys if any(numbers)}
 
 
 def list_parameters(
@@ -168,6 +170,9 @@ def list_parameters(
     for name, number in fitted.items():
         (kind, _, place), prior, value = name.partition(" "), number["prior_deviation"], number["value"]
         unit, factor = choose_unit(kind)
+        remark = "" if number["deviation"] < told * prior else "as stated: the data do not tell"
+        if not remark and "number" in number:
+            remark = f"{write_number(number['number'], number['number_deviation'])} {OF_SUPPORT[kind][1]}"
         rows.append(
             [
                 f"{spell(kind)} {place}".strip(),
@@ -175,7 +180,7 @@ def list_parameters(
                 f"0 +- {write_number(factor * prior, digits=3)}",
                 write_number(factor * value, factor * number["deviation"]),
                 write_number(value / prior, digits=2),
-                "" if number["deviation"] < told * prior else "as stated: the data do not tell",
+                remark,
             ]
         )
     return Table(

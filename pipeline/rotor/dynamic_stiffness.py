@@ -4,7 +4,8 @@
 
 with excitation frequency w and rotor speed W (equal for unbalance). Beam elements couple neighbouring nodes
 only, so all four matrices share one narrow band: storage and solution cost grow linearly with the nodes. Seals
-add their impedance at the rotor speed W.
+add their impedance at the rotor speed W. Casings, which come last among the nodes, follow the bearings that they hold
+in the band.
 
 Legend: n DOF, S speeds, R right-hand sides, u band width on either side of the diagonal.
 """
@@ -18,7 +19,7 @@ import numpy as np
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import RotorModel, seal_dof
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel, seal_dof
 from pipeline.rotor.seals import Seals
 
 _NO_BLOCKS = np.empty((0, 0))
@@ -26,28 +27,33 @@ _NO_BLOCKS = np.empty((0, 0))
 
 @dataclass(frozen=True, eq=False)
 class BandedStiffness:
-    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds the column j."""
+    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds the column ``order[j]``."""
 
     dof: np.ndarray  # (m,) which DOF of the rotor
+    order: np.ndarray  # (m,) positions within ``dof``, as they follow each other in the band
     bandwidth: int  # u
     mass: np.ndarray
     damping: np.ndarray
     gyroscopic: np.ndarray
     stiffness: np.ndarray
     seals: Seals
-    seal_places: np.ndarray  # (T, 2) positions of x and y of the seals within ``dof``; -1 where they are not
+    seal_places: np.ndarray  # (T, 2) places of x and y of the seals in the band; -1 where they are not
 
 
 def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
     """The rotor's matrices as diagonals, for all DOF or the ascending ``dof`` only."""
     dof = np.arange(rotor.n_dof) if dof is None else dof
-    blocks = [a[np.ix_(dof, dof)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
+    positions = np.array([*range(rotor.n_nodes), *(node + 0.5 for node in rotor.casings)])
+    order = np.argsort(positions[dof // DOF_PER_NODE], kind="stable")
+    ordered = dof[order]
+    blocks = [a[np.ix_(ordered, ordered)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     rows, columns = np.nonzero(np.any([block != 0 for block in blocks], axis=0))
-    bandwidth = int(np.abs(rows - columns).max(initial=0))
-    places = _locate(seal_dof(rotor), dof)
+    least = DOF_PER_NODE + 1 if rotor.casings else 0  # from x of a bearing's node to y of its casing
+    bandwidth = int(np.abs(rows - columns).max(initial=least))
+    places = _locate(seal_dof(rotor), ordered)
     bandwidth = max(bandwidth, int((places >= 0).all(axis=-1).any()))  # x and y of a seal lie side by side
     mass, damping, gyroscopic, stiffness = (_columns(block, bandwidth) for block in blocks)
-    return BandedStiffness(dof, bandwidth, mass, damping, gyroscopic, stiffness, rotor.seals, places)
+    return BandedStiffness(dof, order, bandwidth, mass, damping, gyroscopic, stiffness, rotor.seals, places)
 
 
 def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
@@ -92,13 +98,14 @@ def solve(
 
     size, width = len(system.dof), system.bandwidth
     # Right-hand sides in Fortran order, too: LAPACK then leaves the solution in their place, and nothing is copied.
-    solution = np.array(right.swapaxes(1, 2), dtype=complex, order="C")
+    solution = np.asarray(np.take(right.swapaxes(1, 2), system.order, axis=2), dtype=complex)
+    impedance_places = np.argsort(system.order)[impedance_dof.astype(int)]
     # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for
     # pivoting. A chunk of speeds is assembled at once.
     band = np.empty((min(chunk_size, len(speeds)), size, 3 * width + 1), dtype=complex)
     for start in range(0, len(speeds), chunk_size):
         chunk = slice(start, min(start + chunk_size, len(speeds)))
-        _assemble(system, frequencies[chunk], speeds[chunk], impedance[:, chunk], impedance_dof, band)
+        _assemble(system, frequencies[chunk], speeds[chunk], impedance[:, chunk], impedance_places, band)
         for s in range(chunk.start, chunk.stop):
             *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
             if info != 0:
@@ -106,7 +113,9 @@ def solve(
     finite = np.isfinite(solution).all(axis=(1, 2))
     if not finite.all():
         raise _singular(speeds[~finite][0])
-    return np.ascontiguousarray(solution.swapaxes(1, 2))
+    result = np.empty_like(right, dtype=complex)
+    result[:, system.order] = solution.swapaxes(1, 2)
+    return result
 
 
 def _singular(speed: float) -> PipelineError:
@@ -121,7 +130,7 @@ def _assemble(
     frequencies: np.ndarray,
     speeds: np.ndarray,
     impedance: np.ndarray,
-    impedance_dof: np.ndarray,
+    impedance_places: np.ndarray,
     band: np.ndarray,
 ) -> None:
     width, count = system.bandwidth, len(speeds)
@@ -131,7 +140,7 @@ def _assemble(
     matrix.real = system.stiffness - w**2 * system.mass
     matrix.imag = w * (system.damping + speed * system.gyroscopic)
     seals = zip(system.seals.impedance(frequencies, speeds), system.seal_places, strict=True)
-    for block, places in (*zip(impedance, impedance_dof, strict=True), *seals):
+    for block, places in (*zip(impedance, impedance_places, strict=True), *seals):
         for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
             matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, bearing_dof, casing_dof, translation_dof
 
 
 def shaft_rows(rotor: RotorModel, node: int, shift: float, slope: bool = False) -> np.ndarray:
@@ -22,6 +22,9 @@ def shaft_rows(rotor: RotorModel, node: int, shift: float, slope: bool = False) 
     Beyond its ends the shaft goes on straight. At a node itself the slope is that of the element that follows.
     """
     rows = np.zeros((TRANSLATIONS, rotor.n_dof))
+    if node >= rotor.n_nodes:  # a casing, which has no length
+        rows[:, translation_dof(node, 0) + np.arange(TRANSLATIONS)] = 0.0 if slope else np.eye(TRANSLATIONS)
+        return rows
     dof, shape, turn = _element(rotor, node, shift)
     four = turn if slope else shape
     rows[0, dof[[0, 3, 4, 7]]] = four  # x' = beta
@@ -68,7 +71,10 @@ def _shapes(t: float, length: float, s: float) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class BearingPlaces:
-    """Which DOF the bearings act on, and by what shares: those of its node, or of an element where it is beside it."""
+    """Which DOF the bearings act on, and by what shares: those of its node, or of an element where it is beside it.
+
+    On soft ground a bearing feels the shaft's motion less its casing's, and pushes both.
+    """
 
     dof: np.ndarray  # (B, k) indices; x and y of the node where k is 2
     shares: np.ndarray  # (B, 2, k)
@@ -93,6 +99,11 @@ class BearingPlaces:
 def bearing_places(rotor: RotorModel) -> BearingPlaces:
     """Where the rotor's bearings act."""
     nodes, dof = rotor.bearing_nodes, bearing_dof(rotor)
+    if rotor.casings:
+        held, eye = dict(zip(rotor.casings, casing_dof(rotor), strict=True)), np.eye(TRANSLATIONS)
+        beside = [held.get(node, pair + TRANSLATIONS) for node, pair in zip(nodes, dof, strict=True)]
+        shares = [np.hstack([eye, -eye if node in held else 0.0 * eye]) for node in nodes]
+        return BearingPlaces(np.hstack([dof, np.array(beside)]), np.stack(shares))
     if not any(rotor.bearing_shifts):
         return BearingPlaces(dof, np.broadcast_to(np.eye(TRANSLATIONS), (len(nodes), TRANSLATIONS, TRANSLATIONS)))
     rows = []

@@ -36,15 +36,21 @@ class RotorModel:
     seals: Seals = NO_SEALS
     supported_nodes: tuple[int, ...] = ()  # bearing nodes whose supports are part of the bearing
     bearing_shifts: tuple[float, ...] = ()  # B m, of each bearing beyond its node along the shaft; none for all zero
+    casings: tuple[int, ...] = ()  # bearing nodes that stand on soft ground: their casings are the nodes N, N + 1, ..
 
     @property
     def n_nodes(self) -> int:
-        """N."""
+        """N, of the shaft."""
         return len(self.positions)
 
     @property
+    def n_places(self) -> int:
+        """Nodes of the shaft and casings: all that probes may stand at."""
+        return self.n_dof // DOF_PER_NODE
+
+    @property
     def n_dof(self) -> int:
-        """4 N."""
+        """4 N, and 4 for each casing."""
         return self.mass.shape[0]
 
     @cached_property
@@ -58,6 +64,8 @@ class RotorModel:
             digest.update(f"{scale:.9e}".encode())
         if len(self.seals.rows):
             digest.update(self.seals.rows.tobytes())
+        if self.casings:
+            digest.update(np.array(self.casings).tobytes())
         if any(self.bearing_shifts):
             digest.update(np.array(self.bearing_shifts).tobytes())
         return digest.hexdigest()[:16]
@@ -73,10 +81,17 @@ def bearing_dof(rotor: RotorModel) -> np.ndarray:
     return _translations(rotor.bearing_nodes)
 
 
+def casing_dof(rotor: RotorModel) -> np.ndarray:
+    """(C, 2) indices of x and y of each casing."""
+    return _translations(tuple(range(rotor.n_nodes, rotor.n_nodes + len(rotor.casings))))
+
+
 def seal_dof(rotor: RotorModel) -> np.ndarray:
     """(T, 2) indices of x and y at each seal."""
     return _translations(rotor.seals.nodes)
 
 
 def _translations(nodes: tuple[int, ...]) -> np.ndarray:
-    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in nodes], dtype=int)
+    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in nodes], dtype=int).reshape(
+        -1, TRANSLATIONS
+    )

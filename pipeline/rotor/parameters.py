@@ -7,6 +7,7 @@ what the configuration states. The dynamic stiffness is linear in the parameters
     D(w, theta) = D(w) + sum_t theta_t dD_t(w),
 
 so the sensitivity of the structure is exact: it comes from the matrices of its parts, not from differences.
+Supports are known to an order of magnitude: theta is the logarithm of each of their numbers over what is stated.
 
 Legend: T parameters. SI units and radians.
 """
@@ -31,6 +32,9 @@ UNITS = {
     "coupling_stiffness": "N/m",
     "coupling_mass": "kg",
     "bearing_position": "m",
+    "support_stiffness": "ln",
+    "support_damping": "ln",
+    "support_mass": "ln",
     "bow": "m",
     "unbalance_magnitude": "",
     "unbalance_phase": "rad",
@@ -43,10 +47,17 @@ UNITS = {
     "known_coefficients": "",
     "bearing_drift": "",
 }
-"""Every kind, and the unit of its deviation; without a unit it is a share of the stated value."""
+"""Every kind, and the unit of its deviation; without a unit it is a share of the stated value, and ln is the logarithm
+of the number over that."""
 OF_SHAFT = ("youngs_modulus", "density")
 OF_DISC = ("disc_mass", "disc_inertia")
 OF_COUPLING = ("coupling_stiffness", "coupling_mass")
+OF_SUPPORT = {
+    "support_stiffness": ("stiffness", "N/m"),
+    "support_damping": ("damping", "N s/m"),
+    "support_mass": ("mass", "kg"),
+}
+"""Kinds whose logarithm is normal: the matrix that each is part of, and the unit of the number."""
 OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
 OF_ALL_WEIGHTS = ("weight_angle", "weight_law")
 OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
@@ -65,22 +76,32 @@ class ModelParameter:
     deviation: float  # prior standard deviation in the unit of the kind
     label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
     place: int = 0  # node, position among the run's excitations, channel, or bearing
-    detail: str = ""  # run of an excitation, name of a coefficient, or part of a complex number
+    detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
+    stated: float = 0.0  # SI, of a support
 
     @property
     def name(self) -> str:
         """Kind and place, as tables show them."""
         return f"{self.kind} {self.label}".strip()
 
+    def step(self, value: float) -> float:
+        """By how many deviations the number is off at theta = ``value``."""
+        return float(np.expm1(value * self.deviation)) / self.deviation if self.kind in OF_SUPPORT else value
+
+    def slope(self, value: float) -> float:
+        """The derivative of :meth:`step`."""
+        return float(np.exp(value * self.deviation)) if self.kind in OF_SUPPORT else 1.0
+
 
 def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
-    """The rotor's matrices dM, dC, dG, dK of theta = 1; None for a parameter that moves none of them."""
+    """The rotor's matrices dM, dC, dG, dK of one deviation; None for a parameter that moves none of them."""
     nothing = np.zeros_like(rotor.mass)
     change: dict[str, Any] = dict.fromkeys(("mass", "damping", "gyroscopic", "stiffness"), nothing)
     change["seals"] = NO_SEALS  # no parameter changes them
     size, first = parameter.deviation, translation_dof(parameter.place, 0)
     if parameter.kind == "youngs_modulus":
-        change["stiffness"] = size * rotor.stiffness
+        shaft = np.arange(rotor.n_dof) < DOF_PER_NODE * rotor.n_nodes
+        change["stiffness"] = size * rotor.stiffness * shaft
     elif parameter.kind == "density":
         change |= {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
     elif parameter.kind in OF_DISC:
@@ -96,6 +117,10 @@ def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | N
         added = np.zeros_like(nothing)
         added[[first, first + 1], [first, first + 1]] = size
         change["mass" if parameter.kind == "coupling_mass" else "stiffness"] = added
+    elif parameter.kind in OF_SUPPORT:
+        held, at = np.zeros_like(nothing), translation_dof(parameter.place, "xy".index(parameter.detail))
+        held[at, at] = size * parameter.stated
+        change[OF_SUPPORT[parameter.kind][0]] = held
     else:
         return None
     return replace(rotor, **change)
@@ -109,5 +134,6 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values
             rotor = move_bearing(rotor, parameter.place, float(value) * parameter.deviation)
         change = rotor_change(parameter, rotor) if value else None
         if change is not None:
-            sums = {name: total + value * getattr(change, name) for name, total in sums.items()}
+            step = parameter.step(value)
+            sums = {name: total + step * getattr(change, name) for name, total in sums.items()}
     return replace(rotor, **sums)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
 
@@ -20,8 +20,10 @@ def export_rotor(
 ) -> Any:
     """ROSS's rotor at the model parameters ``values`` (T,), in prior deviations, on the identified ``bearings``.
 
-    Supports are part of the bearings as the shaft feels them; seals and masses on the shaft stay. A fitted coupling is
-    a bearing element of its own. Raises ConfigError where the rotor file can't be read.
+    Supports of a rotor file are part of the bearings as the shaft feels them; those beside it are elements between
+    casing and ground. Seals and masses on the shaft stay. A fitted coupling is a bearing element of its own.
+
+    Raises ConfigError where the rotor file can't be read.
     """
     rs, base = ross(), make_rotor(config)
     shifted = {
@@ -39,7 +41,22 @@ def export_rotor(
         )
     last = len(base.nodes) - 1
     masses = [one for one in base.point_mass_elements if one.n <= last]
-    standing = [*make_bearings(bearings), *(one for one in base.bearing_elements if isinstance(one, rs.SealElement))]
+    links = {support.node: last + 1 + i for i, support in enumerate(config.supports)}
+    shifts = {
+        (parameter.kind, parameter.place, parameter.detail): parameter.slope(float(value))
+        for parameter, value in zip(parameters, values, strict=True)
+    }
+    seals = [element for element in base.bearing_elements if isinstance(element, rs.SealElement)]
+    standing = [*make_bearings(bearings, links), *seals]
+    for support in config.supports:
+        casing = links[support.node]
+        held = {
+            f"{letter}{axis}{axis}": getattr(support, f"{letter}{axis}{axis}") * shifts.get((kind, casing, axis), 1.0)
+            for kind, letter in (("support_stiffness", "k"), ("support_damping", "c"), ("support_mass", "m"))
+            for axis in "xy"
+        }
+        masses.append(rs.PointMass(casing, mx=held.pop("mxx"), my=held.pop("myy"), tag=f"casing {support.node}"))
+        standing.append(rs.BearingElement(casing, **held, tag=f"support of node {support.node}"))
     coupling = {kind: (n, value) for (kind, n), value in shifted.items() if kind in OF_COUPLING}
     if coupling:
         node = next(iter(coupling.values()))[0]
@@ -48,8 +65,11 @@ def export_rotor(
     return rs.Rotor(shaft, discs, standing, masses)
 
 
-def make_bearings(bearings: BearingTable) -> list[Any]:
-    """ROSS's bearing elements: tables over the speed, or constants where no coefficient changes with it."""
+def make_bearings(bearings: BearingTable, links: Mapping[int, int]) -> list[Any]:
+    """ROSS's bearing elements: tables over the speed, or constants where no coefficient changes with it.
+
+    ``links`` has the casings that they stand in, by node.
+    """
     rs, made = ross(), []
     for node, values in zip(bearings.nodes, bearings.values, strict=True):
         columns: dict[str, Any] = {}
@@ -58,7 +78,7 @@ def make_bearings(bearings: BearingTable) -> list[Any]:
             columns[name] = float(column[0]) if constant else column.tolist()
         if not constant:
             columns["frequency"] = bearings.speeds.tolist()
-        made.append(rs.BearingElement(node, **columns, tag=f"bearing at node {node}"))
+        made.append(rs.BearingElement(node, **columns, n_link=links.get(node), tag=f"bearing at node {node}"))
     return made
 
 

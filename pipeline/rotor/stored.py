@@ -17,6 +17,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
+from pipeline.rotor.soft_ground import put_on_supports
 
 KIND = "rotors"
 _BEARINGS = "bearings"
@@ -35,8 +36,8 @@ def hash_rotor(config: RotorConfig) -> str:
     """Identity of what a rotor is assembled from: configuration, its file's bytes, ROSS's version, and our own code."""
     file = Path(config.file or "")
     return hash_parts(
-        # Where a rotor file lies makes no other rotor.
-        json.dumps(config.model_dump(mode="json", exclude={"file"}), sort_keys=True),
+        # Where a rotor file lies makes no other rotor, and what it stands on no other shaft.
+        json.dumps(config.model_dump(mode="json", exclude={"file", "supports"}), sort_keys=True),
         file.read_bytes() if file.is_file() else b"",
         file.suffix,
         importlib.metadata.version("ross-rotordynamics"),
@@ -47,8 +48,13 @@ def hash_rotor(config: RotorConfig) -> str:
 def load_rotor(config: RotorConfig) -> RotorModel:
     """Shaft and discs as matrices: from the cache, or by ROSS where this rotor is new.
 
-    Raises ConfigError where ``config.file`` can't be read.
+    Raises ConfigError where ``config.file`` can't be read, and for a support where no bearing is.
     """
+    return put_on_supports(_load_shaft(config), config.supports)
+
+
+def _load_shaft(config: RotorConfig) -> RotorModel:
+    """The rotor with its bearings on the ground."""
     key = hash_rotor(config)
     kept = _look_up(KIND, key, {*_ARRAYS, *_REST, _SEALS})
     if kept:
@@ -60,6 +66,7 @@ def load_rotor(config: RotorConfig) -> RotorModel:
             seals=Seals(kept[_SEALS]),
             supported_nodes=tuple(kept["supported_nodes"].astype(int).tolist()),
             bearing_shifts=(),
+            casings=(),
         )
     from pipeline.rotor.ross_adapter import assemble
 
@@ -118,5 +125,5 @@ def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | No
 def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
     """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
     for node in nodes:
-        if node >= rotor.n_nodes:
-            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_nodes - 1} of the rotor, but got node {node}")
+        if node >= rotor.n_places:
+            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_places - 1} of the rotor, but got node {node}")

@@ -78,9 +78,11 @@ def require_own(work: Workspace, stage: str) -> None:
 def hash_machine(config: Config) -> str:
     """Return the identity of what data are generated from: the machine without its recordings."""
     kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance", "as_built"}
-    if config.machine.operating:  # without any, it is the machine that it was before there were some
+    # Without conditions and supports, it is the machine that it was before there were some.
+    if config.machine.operating:
         kept.add("operating")
     parts = config.machine.model_dump(mode="json", include=kept)
+    parts["rotor"] = {key: value for key, value in parts["rotor"].items() if key != "supports" or value}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 

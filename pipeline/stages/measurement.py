@@ -42,7 +42,7 @@ def load_measurement(config: Config) -> Measurement:
         rotor = load_rotor(section)
     else:  # which says itself how many nodes there are, and where the bearings stand
         rotor = load_rotor(section)
-        require_nodes_of(dataset, rotor.n_nodes, files.vibration, files.excitation)
+        require_nodes_of(dataset, rotor.n_places, files.vibration, files.excitation)
         known = _read_known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)

@@ -133,6 +133,7 @@ def deviate_modes(
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.machine_covariance
     changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
+    steps = [p.slope(v) for p, v in zip(measurement.parameters, measurement.parameter_values, strict=True)]
     positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor
@@ -148,7 +149,7 @@ def deviate_modes(
         slopes[s, present, :count] = np.einsum("kbc,bcz->kz", by_coefficient, by_number[:, s], optimize=True)
         if changes:
             by_known = np.einsum("kbc,bct->kt", by_coefficient, measurement.known_variation[s])
-            slopes[s, present, count:] = by_rotor + by_known
+            slopes[s, present, count:] = by_rotor * steps + by_known
     modal, growing = slopes[:, :-1], slopes[:, -1].real
     by_decrement = _derive_decrement(modal, modes.frequency[..., None], modes.logarithmic_decrement[..., None])
     return ModeDeviations(

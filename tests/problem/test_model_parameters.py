@@ -22,7 +22,7 @@ from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, impedance_change, respond
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import UNITS, ModelParameter, update_rotor
+from pipeline.rotor.parameters import OF_SUPPORT, UNITS, ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
@@ -78,7 +78,7 @@ def measurement() -> Measurement:
 def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
     """One for each disc, weight, probe and known coefficient."""
     count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in UNITS}
-    assert count == dict.fromkeys(UNITS, 1) | {
+    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys(OF_SUPPORT, 0) | {
         "disc_mass": 2,
         "disc_inertia": 2,
         "bearing_position": 2,

@@ -1,0 +1,166 @@
+"""Bearings on soft ground: against ROSS's links, against whole matrices, and what fits make of simulated machines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.rotor import RotorConfig
+from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
+from pipeline.data.sensors import NoiseModel, project
+from pipeline.data.simulate import add_noise, simulate
+from pipeline.errors import ConfigError, DataError
+from pipeline.identification.combinations import combine
+from pipeline.identification.fit import default_setup, fit
+from pipeline.identification.identified import Fit
+from pipeline.identification.readings import sensor_model
+from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.model_parameters import model_parameters
+from pipeline.problem.slopes import ReadingSlopes
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_export import export_rotor
+from pipeline.rotor.stored import load_rotor
+from pipeline.unknowns import BearingUnknowns, unknown_set
+
+NODES, SPEEDS = (1, 6), np.linspace(100.0, 700.0, 30)
+FILMS = {
+    1: (2e7, 3e6, -4e6, 1.5e7, 2e4, 1e3, 2e3, 1.5e4),
+    6: (1e7, 1e6, -2e6, 2.5e7, 1e4, 1e3, 1e3, 0.5e4),
+}
+SUPPORTS = {
+    1: {"kxx": 2e7, "kyy": 3e7, "cxx": 9e3, "cyy": 1.5e4, "mxx": 20.0, "myy": 24.0},
+    6: {"kxx": 1e7, "kyy": 4e7, "cxx": 7e3, "cyy": 1.6e4, "mxx": 18.0, "myy": 25.0},
+}
+OFF = {"kxx": 0.5, "kyy": 1.8, "cxx": 2.0, "cyy": 0.7, "mxx": 1.5, "myy": 0.6}
+"""What is stated of a support, over what it has."""
+WEIGHTS = (Excitation("a", "unbalance", 3, 5e-4, 0.3), Excitation("b", "unbalance", 8, 5e-4, 1.3))
+KINDS = {"support_stiffness": "k", "support_damping": "c", "support_mass": "m"}
+
+
+def config(nodes: tuple[int, ...] = NODES, off: bool = False) -> RotorConfig:
+    """A shaft with a disc between its bearings and an overhung one; ``off``: supports as they are stated."""
+    given = [{key: number * (OFF[key] if off else 1.0) for key, number in SUPPORTS[node].items()} for node in nodes]
+    return RotorConfig.model_validate(
+        {
+            "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
+            "shaft": [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}],
+            "discs": [
+                {"node": 3, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
+                {"node": 8, "mass": 5.0, "diametral_inertia": 0.02, "polar_inertia": 0.04},
+            ],
+            "bearing_nodes": NODES,
+            "supports": [{"node": node, **support} for node, support in zip(nodes, given, strict=True)],
+        }
+    )
+
+
+def films(speeds: np.ndarray = SPEEDS) -> BearingTable:
+    """The same at every speed."""
+    return BearingTable(NODES, speeds, np.array([np.tile(FILMS[node], (len(speeds), 1)) for node in NODES]))
+
+
+def readings(rotor: RotorModel, casings: bool) -> VibrationDataset:
+    """x and y at the bearings, and at their casings."""
+    nodes = (*NODES, *(range(rotor.n_nodes, rotor.n_places) if casings else ()))
+    return project(simulate(rotor, films(), WEIGHTS), tuple((n, angle) for n in nodes for angle in DIRECTIONS.values()))
+
+
+def measured(casings: bool = True, noise: NoiseModel | None = None, seed: int = 0) -> Measurement:
+    """All eight coefficients and all numbers of the supports unknown; readings are exact without ``noise``."""
+    data, stated = readings(load_rotor(config()), casings), load_rotor(config(off=True))
+    if noise:
+        data = add_noise(data, noise.deviation(data.displacement), np.random.default_rng(seed))
+    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(COEFFICIENTS)))
+    known = BearingTable(NODES, SPEEDS, np.zeros((2, len(SPEEDS), 8)))
+    parameters = model_parameters(dict.fromkeys(KINDS, 1.0), stated, data, known, unknowns)
+    guess = Guess(1e7, 1e4, within=30.0)
+    noise = noise or NoiseModel(1e-13, 1e-8)
+    return Measurement(stated, data, known, noise, unknowns, guess, parameters=parameters)
+
+
+def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares by which films (B, 8) and supports (T,) are off, and the deviations (T,) of the latter."""
+    numbers = {p.parameter: p.number for p in answer.parameters}
+    true = np.array([SUPPORTS[NODES[p.place - 9]][KINDS[p.kind] + 2 * p.detail] for p in numbers])
+    shares = np.array([[n["number"], n["number_deviation"]] for n in numbers.values()]) / true[:, None]
+    return answer.table(films()).values[:, 0] / np.array([*FILMS.values()]) - 1, shares[:, 0] - 1, shares[:, 1]
+
+
+@pytest.mark.parametrize("nodes", [NODES, (6,)])
+def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
+    """Supports as masses on links at nodes of their own; with shaft and casings, one bearing or both on soft ground."""
+    rotor, w = load_rotor(config(nodes)), SPEEDS[7]
+    exported = export_rotor(config(nodes), (), np.zeros(0), films())
+    places = [6 * n for n in range(9)] + [54 + 3 * i for i in range(len(nodes))]  # a link has x, y and z
+    lateral = [p + d for p in places for d in ((0, 1, 3, 4) if p < 54 else (0, 1))]
+    at = np.ix_(lateral, lateral)
+    dynamic = (exported.K(w) + 1j * w * (exported.C(w) + w * exported.G()) - w**2 * exported.M(w))[at]
+    force = np.zeros(len(lateral), dtype=complex)
+    force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
+    solved = np.linalg.solve(dynamic, force)
+    expected = solved[[lateral.index(p + d) for p in places for d in (0, 1)]]
+    read = simulate(rotor, films(), WEIGHTS[:1]).displacement[7, :, 0]
+    assert np.abs(read - expected).max() <= 1e-10 * np.abs(expected).max()
+
+
+def test_readings_far_from_where_the_rotor_was_solved_are_exact_and_so_are_their_derivatives() -> None:
+    """Against the rotor solved anew, and central differences; to first order both ways of deriving agree."""
+    measurement = measured()
+    model, none = sensor_model(measurement), torch.zeros(1, 0, dtype=torch.complex128)
+    values = torch.as_tensor(measurement.unknowns.to_active(measurement.unknowns.leading(films().values)))[None]
+    theta = torch.as_tensor(0.8 * np.cos(1.7 * np.arange(12)))[None]
+    again = measurement.update(theta[0].numpy())
+    read = again.response.predict(films())
+    np.testing.assert_allclose(
+        model.predict(values, none, theta)[0][0], read, rtol=1e-8, atol=1e-10 * np.abs(read).max()
+    )
+    slopes = model.derive(0, values, none, theta)[3]
+    by_model = ReadingSlopes(again, films()).by_model * again.deviation[..., None]
+    np.testing.assert_allclose(slopes[0], by_model, rtol=1e-7, atol=1e-9 * np.abs(by_model).max())
+    for t in range(12):
+        step = 1e-5 * torch.nn.functional.one_hot(torch.tensor(t), 12)
+        ahead, behind = (model.predict(values, none, theta + sign * step)[0] for sign in (1, -1))
+        difference = (ahead - behind) / 2e-5
+        assert (slopes[..., t] - difference).abs().max() <= 1e-6 * difference.abs().max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("noise", "film", "support"), [(None, 1e-8, 1e-8), (NoiseModel(5e-8, 0.01), 0.01, 0.02)], ids=["exact", "noisy"]
+)
+def test_casing_probes_tell_bearings_and_supports(noise: NoiseModel | None, film: float, support: float) -> None:
+    """From supports that are stated up to twice off: exact readings give both back to 1e-6 %, readings of 1 % and 0.05
+    um direct coefficients within 1 % and supports within 2 %.
+    """
+    off, supports, deviation = errors(fit(measured(noise=noise), default_setup(Guess(1e7, 1e4), constant=True)))
+    assert np.abs(off[:, [0, 3, 4, 7]]).max() < film
+    assert np.abs(supports).max() < support
+    assert (np.abs(supports) < 3.5 * deviation).all()
+
+
+@pytest.mark.slow
+def test_the_diagnosis_names_what_shaft_probes_leave_open_and_casing_probes_tell() -> None:
+    """With casing probes all numbers are told to a tenth of what is stated."""
+    setup, noise = default_setup(Guess(1e7, 1e4), constant=True), NoiseModel(5e-8, 0.01)
+    every = [combine(measured(casings, noise), setup) for casings in (False, True)]
+    shaft, both = (found.parameters for found in every if found)
+    assert set(both) == {parameter.name for parameter in measured().parameters}
+    assert max(both.values()) < (0.1, 0.1)
+    assert max(shaft.values()) > tuple(2 * left for left in max(both.values()))
+
+
+def test_what_supports_cannot_do_is_refused() -> None:
+    """A support without a bearing, the residual, and a place of a bearing that is off."""
+    with pytest.raises(
+        ConfigError, match=r"must have bearing nodes without a support \(1, 6\), each once, but has 6, 6"
+    ):
+        load_rotor(config((6, 6)))
+    with pytest.raises(DataError, match=r"that of node 1 has a support"):
+        _ = measured().equations
+    soft = measured()
+    for kind, nodes in {"bearing_position": NODES, "support_mass": ()}.items():
+        with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
+            model_parameters({kind: 1e-3}, load_rotor(config(nodes)), soft.dataset, soft.known, soft.unknowns)
