@@ -30,7 +30,7 @@ STATEMENTS = {
     "identification": 2666,
     "evaluation": 224,
     "twin": 481,
-    "balance": 685,
+    "balance": 688,
     "trust": 686,
     "export": 201,
     "methods": 570,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18290, 14500),
+    "statements of pipeline/": (18293, 14500),
     "files": (265, 250),
     "classes": (325, 260),
     "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (121, 200),
-    "statements of tests/": (13031, 13000),
+    "statements of tests/": (13034, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (714, 380),
     "their files": (107, 75),

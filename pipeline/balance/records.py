@@ -140,21 +140,28 @@ def shift_to_day(records: Records, vibration: LinearVibration, reference: str | 
     )
 
 
-def judge_together(records: Records, vibration: LinearVibration) -> float:
+def judge_together(records: Records, vibration: LinearVibration, rare: float) -> float:
     """The chance that the mean of all conditions departs as far from what their weights make, if they belong to the
-    model's day; NaN where the table does not tell.
+    model's day; NaN where the table does not tell: of one condition, or where they do not depart alike (as far as one
+    in 1 / ``rare`` tables), as with a wrong label.
 
     Conditions scatter by themselves, and have what is uncertain of the model in common.
     """
     conditions = average_records(records, vibration)
     whole = ~(np.isnan(conditions.unbalance).any(axis=1) | np.isnan(conditions.vectors).any(axis=1))
-    if not whole.any():
+    if whole.sum() < 2:
         return float("nan")
     mean, covariance = vibration.predict(conditions.unbalance[whole])
-    noise, off = vibration.noise, (conditions.vectors[whole] - mean).mean(axis=0)
-    scatter = noise.covariance(conditions.counts[whole]).mean(axis=0) / whole.sum()
-    squared = float((off.conj() @ np.linalg.solve(covariance.mean(axis=0) + scatter, off)).real)
-    return judge_distance(squared / noise.stretch, len(off), noise.tail or noise.freedom - len(off) + 1)
+    off, noise = conditions.vectors[whole] - mean, vibration.noise
+    scatter, common = noise.covariance(conditions.counts[whole]), off.mean(axis=0)
+    apart = np.einsum("cd,cd->", (off - common).conj(), np.linalg.solve(scatter, (off - common)[..., None])[..., 0])
+    total = covariance.mean(axis=0) + scatter.mean(axis=0) / len(off)
+    squares = ((off.size - len(common), apart), (len(common), common.conj() @ np.linalg.solve(total, common)))
+    alike, chance = (
+        judge_distance(float(squared.real) / noise.stretch, size, noise.tail or noise.freedom - len(common) + 1)
+        for size, squared in squares
+    )
+    return chance if alike >= rare else float("nan")
 
 
 # --- predicted --------------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ def list_missing(records: Records) -> Sequence[str]:
 def follow_day(name: str, records: Records, model: LinearVibration, reference: str | None) -> LinearVibration:
     """The model on the day of the ``records``; a warning where they depart together. Raises DataError as
     :func:`pipeline.balance.records.shift_to_day`."""
-    chance = np.nan if reference else judge_together(records, model)
+    chance = np.nan if reference else judge_together(records, model, Estimates.RARE)
     if chance < Estimates.RARE:
         warn(
             f"{name}: the records depart together from what their weights make (by chance in {chance:.1g} of tables), "

@@ -119,7 +119,7 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
             unbalance, 3 * circular(rng, 1, SIZE) @ MACHINE.root.T + circular(rng, 5, SIZE) @ MACHINE.root.T, 1
         )
         day = shift_to_day(records, RIG, "C000")
-        without.append(judge_together(records, RIG))
+        without.append(judge_together(records, RIG, 0.01))
         within.append(predict_records(records, day).within[2:])
         readings = average_records(records, day)
         estimates = estimate_all(readings, [day] * 5)
@@ -132,9 +132,12 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
 def test_records_of_the_same_day_are_seldom_called_those_of_another() -> None:
     rng = np.random.default_rng(9)
     tables = [_records(_weights(rng, 4), circular(rng, 4, SIZE) @ MACHINE.root.T, 1) for _ in range(400)]
-    chances = np.array([judge_together(records, RIG) for records in tables])
+    chances = np.array([judge_together(records, RIG, 0.01) for records in tables])
     assert 0.06 < np.mean(chances < 0.1) < 0.14
-    assert np.isnan(judge_together(replace(tables[0], unbalance=np.full_like(tables[0].unbalance, np.nan)), RIG))
+    unknown = replace(tables[0], unbalance=np.full_like(tables[0].unbalance, np.nan))
+    turned = replace(tables[0], unbalance=tables[0].unbalance * np.where(np.arange(8) < 2, -1, 1)[:, None])
+    for untold in (unknown, turned, _records(_weights(rng, 1), 1e-4)):  # no weights, one wrong label, one condition
+        assert np.isnan(judge_together(untold, RIG, 0.01))
 
 
 def test_a_reference_must_be_there_and_whole() -> None:
