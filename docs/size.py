@@ -38,13 +38,13 @@ STATEMENTS = {
     "tuning": 552,
     "reporting": 2463,
     "tracking": 411,
-    "stages": 1201,
+    "stages": 1203,
     "beside the rooms": 531,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18293, 14500),
+    "statements of pipeline/": (18295, 14500),
     "files": (265, 250),
     "classes": (325, 260),
     "is None, is not None": (339, 420),

@@ -13,7 +13,7 @@ from pipeline.balance.records import judge_together, shift_to_day
 from pipeline.balance.unbalance import Estimates
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.records import Records
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
@@ -63,7 +63,10 @@ def list_missing(records: Records) -> Sequence[str]:
 def follow_day(name: str, records: Records, model: LinearVibration, reference: str | None) -> LinearVibration:
     """The model on the day of the ``records``; a warning where they depart together. Raises DataError as
     :func:`pipeline.balance.records.shift_to_day`."""
-    chance = np.nan if reference else judge_together(records, model, Estimates.RARE)
+    try:
+        chance = np.nan if reference else judge_together(records, model, Estimates.RARE)
+    except DataError:  # no vectors, or no conditions of one weight each: what needs these asks for them itself
+        chance = np.nan
     if chance < Estimates.RARE:
         warn(
             f"{name}: the records depart together from what their weights make (by chance in {chance:.1g} of tables), "
