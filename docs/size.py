@@ -20,7 +20,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1700,
+    "config": 1707,
     "laws": 487,
     "rotor": 746,
     "data": 1114,
@@ -30,7 +30,7 @@ STATEMENTS = {
     "identification": 2666,
     "evaluation": 224,
     "twin": 481,
-    "balance": 688,
+    "balance": 684,
     "trust": 686,
     "export": 201,
     "methods": 570,
@@ -38,20 +38,20 @@ STATEMENTS = {
     "tuning": 552,
     "reporting": 2463,
     "tracking": 411,
-    "stages": 1203,
+    "stages": 1207,
     "beside the rooms": 531,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18295, 14500),
+    "statements of pipeline/": (18302, 14500),
     "files": (265, 250),
     "classes": (325, 260),
     "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (121, 200),
-    "statements of tests/": (13034, 13000),
+    "statements of tests/": (13043, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (714, 380),
     "their files": (107, 75),

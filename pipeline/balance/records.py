@@ -108,24 +108,21 @@ class OfDay(LinearVibration):
         return slope, baseline + self.shift
 
 
-def shift_to_day(records: Records, vibration: LinearVibration, reference: str | None) -> LinearVibration:
-    """The model on the day of the ``records``, as their condition ``reference`` shows it; as it is without one.
+def shift_to_day(conditions: Conditions, vibration: LinearVibration, reference: str) -> OfDay:
+    """The model on the day of the ``conditions``, as the one called ``reference`` shows it.
 
-    Raises DataError for a reference that is not among the records, or lacks a weight or a vector.
+    Raises DataError for a reference that is not among them, or lacks a weight or a vector.
     """
-    if not reference:
-        return vibration
-    conditions = average_records(records, vibration)
     if reference not in conditions.names:
         raise DataError(
-            f"the reference must be a condition of {records.source}, but got '{reference}': "
+            f"the reference must be a condition of the records, but got '{reference}': "
             f"{nearest(reference, conditions.names)}"
         )
     only = conditions.without([name for name in conditions.names if name != reference])
     if np.isnan(only.unbalance).any() or np.isnan(only.displacement).any():
         raise DataError(
-            f"the reference '{reference}' must have its weights, and a vector of each probe at each speed, but "
-            f"{records.source} lacks some: complete its rows, or name another condition"
+            f"the reference '{reference}' must have its weights, and a vector of each probe at each speed, but lacks "
+            "some: complete its rows, or name another condition"
         )
     (mean,), (covariance,) = vibration.predict(only.unbalance)
     (scatter,) = vibration.noise.covariance(only.counts)
@@ -140,14 +137,13 @@ def shift_to_day(records: Records, vibration: LinearVibration, reference: str | 
     )
 
 
-def judge_together(records: Records, vibration: LinearVibration, rare: float) -> float:
+def judge_together(conditions: Conditions, vibration: LinearVibration, rare: float) -> float:
     """The chance that the mean of all conditions departs as far from what their weights make, if they belong to the
-    model's day; NaN where the table does not tell: of one condition, or where they do not depart alike (as far as one
-    in 1 / ``rare`` tables), as with a wrong label.
+    model's day. NaN where it does not tell: of one condition, or where they depart so differently that chance makes
+    it in less than the share ``rare`` of tables, as with a wrong label.
 
     Conditions scatter by themselves, and have what is uncertain of the model in common.
     """
-    conditions = average_records(records, vibration)
     whole = ~(np.isnan(conditions.unbalance).any(axis=1) | np.isnan(conditions.vectors).any(axis=1))
     if whole.sum() < 2:
         return float("nan")

@@ -90,8 +90,12 @@ class BalanceConfig(Section):
     def _named(self) -> Iterator[str]:
         if self.remove != "residual" and not self.condition:
             yield f"must name a condition where remove is {self.remove}, but condition is null"
-        if self.reference and not self.records:
-            yield f"must name records where reference is {self.reference}, but records is null"
+        yield from _ask_for_records(self)
+
+
+def _ask_for_records(section: BalanceConfig | PredictConfig) -> Iterator[str]:
+    if section.reference and not section.records:
+        yield f"must name records where reference is {section.reference}, but records is null"
 
 
 class PredictConfig(Section):
@@ -103,3 +107,7 @@ class PredictConfig(Section):
     records: str | None = None
     reference: str | None = None
     method: str | None = None
+
+    @rule
+    def _named(self) -> Iterator[str]:
+        yield from _ask_for_records(self)

@@ -206,17 +206,16 @@ class MachineConfig(Section):
             if node not in self.rotor.bearing_nodes:
                 where = ", ".join(map(str, self.rotor.bearing_nodes))
                 yield f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}"
-        last = self.rotor.n_nodes - 1
-        used = [
-            (f"run '{run.name}'", node)
-            for run in self.runs
-            for node in (*(u.node for u in run.unbalances), *(f.node for f in run.forces))
-        ]
-        used += [("residual_unbalance", u.node) for u in self.residual_unbalance]
-        used += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
-        used += [("balance.planes", plane.node) for plane in (self.balance.planes if self.balance else ())]
+        turning = [(f"run '{run.name}'", u.node) for run in self.runs for u in run.unbalances]
+        turning += [("residual_unbalance", u.node) for u in self.residual_unbalance]
+        turning += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
+        turning += [("balance.planes", plane.node) for plane in (self.balance.planes if self.balance else ())]
+        still = [(f"run '{run.name}'", force.node) for run in self.runs for force in run.forces]
+        still += [("prediction.node", self.prediction.node)]
         if not isinstance(self.probes.at, str):
-            used += [("probes.at", probe.node) for probe in self.probes.at]
-        for what, node in [*used, ("prediction.node", self.prediction.node)]:
-            if node > last:
-                yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"
+            still += [("probes.at", probe.node) for probe in self.probes.at]
+        n_nodes = self.rotor.n_nodes  # with casings, which do not turn
+        for used, last in ((turning, n_nodes - 1 - len(self.rotor.supports)), (still, n_nodes - 1)):
+            for what, node in used:
+                if node > last:
+                    yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"

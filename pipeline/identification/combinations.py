@@ -68,9 +68,7 @@ class Combinations:
 
     strongest: Combination
     weakest: Combination
-    parameters: Mapping[
-        str, tuple[float, float]
-    ]  # kind, or number of a support -> least and most left of the tolerances
+    parameters: Mapping[str, tuple[float, float]]  # kind (of a support: number) -> least, most left of the tolerances
     next_run: NextRun | None  # none that was tried helps
 
 
@@ -93,7 +91,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
     ]
     ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
     left, spans = np.sqrt(np.diag(covariance)[problem.places.parameters]), {}
-    kinds = [p.name if p.kind in OF_SUPPORT else p.kind for p in measurement.parameters]
+    kinds = [number.name if number.kind in OF_SUPPORT else number.kind for number in measurement.parameters]
     for kind in dict.fromkeys(kinds):
         deviations = [float(value) for value, other in zip(left, kinds, strict=True) if other == kind]
         spans[kind] = (min(deviations), max(deviations))

@@ -104,7 +104,7 @@ def describe_verdicts(about: Mapping[str, Any]) -> str:
 
 def describe_quality(quality: Mapping[str, Any]) -> str:
     """Say how well a fit explains its readings, from the summary of its quality; no truth is needed."""
-    lines, fit = describe_readings(quality), quality.get("fit")
+    lines, fit = list(describe_readings(quality).values()), quality.get("fit")
     if fit is None:
         return f"no modelled coefficients, so no errors; {lines[0]}"
     for kind in ("held_out_speeds", "held_out_runs"):

@@ -171,7 +171,7 @@ def _describe_fit(training: Mapping[str, Any]) -> str:
     readings, fit, kind = describe_readings(training), training.get("fit", {}), "held_out_speeds"
     explained = not fit or measure_misfit(fit).explained()
     held_out = [describe_held_out(kind, fit[kind])] if kind in fit else []
-    return "; ".join([readings[0], *([] if explained else [readings[2]]), *held_out])
+    return "; ".join([readings["distance"], *([] if explained else [readings["explain"]]), *held_out])
 
 
 def _describe_run(content: ReportContent) -> str:

@@ -99,10 +99,10 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
 def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None:
     config = analysis.config
     readings = describe_readings(summary)
-    far_off = f" ({readings[-1]}, in 'bad_points.csv')" if fitted.quality.bad_points else ""
+    far_off = f" ({readings['far_off']}, in 'bad_points.csv')" if fitted.quality.bad_points else ""
     say(
         f"{config.name}: {fitted.outcome.value}\n"
-        f"{readings[0]}{far_off}, {fitted.steps} steps in {fitted.seconds:.1f} s\n"
+        f"{readings['distance']}{far_off}, {fitted.steps} steps in {fitted.seconds:.1f} s\n"
         f"coefficients in '{analysis.files.identified}'"
     )
     stated = config.identify.model_parameters.deviations

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.balance.fitted import Fitted, fit_models
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
-from pipeline.balance.records import judge_together, shift_to_day
+from pipeline.balance.records import average_records, judge_together, shift_to_day
 from pipeline.balance.unbalance import Estimates
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
@@ -61,15 +61,19 @@ def list_missing(records: Records) -> Sequence[str]:
 
 
 def follow_day(name: str, records: Records, model: LinearVibration, reference: str | None) -> LinearVibration:
-    """The model on the day of the ``records``; a warning where they depart together. Raises DataError as
-    :func:`pipeline.balance.records.shift_to_day`."""
+    """The model on the day of the ``records``, as their condition ``reference`` shows it; without one as it is, with a
+    warning where they depart together. Raises DataError as :func:`pipeline.balance.records.shift_to_day`."""
     try:
-        chance = np.nan if reference else judge_together(records, model, Estimates.RARE)
-    except DataError:  # no vectors, or no conditions of one weight each: what needs these asks for them itself
-        chance = np.nan
-    if chance < Estimates.RARE:
+        conditions = average_records(records, model)
+    except DataError:  # what is predicted needs no vectors, nor one set of weights a condition
+        if reference:
+            raise
+        return model
+    if reference:
+        return shift_to_day(conditions, model, reference)
+    if (chance := judge_together(conditions, model, Estimates.RARE)) < Estimates.RARE:
         warn(
             f"{name}: the records depart together from what their weights make (by chance in {chance:.1g} of tables), "
             "as on another day: name a condition of theirs with known weights as reference"
         )
-    return shift_to_day(records, model, reference)
+    return model

@@ -111,30 +111,30 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     return Misfit(float(size), probability, estimated, factor, float(total * factor**2))
 
 
-def describe_readings(training: Mapping[str, Any]) -> list[str]:
+def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
     """How the fit of ``training.json`` or ``metrics.json`` follows its readings, for every line and page that says so.
 
-    How far off they lie, how neighbours correlate, whether model and noise explain them, and how many lie far off. Of a
-    loss that weighs no noise it is the residual alone.
+    The ``distance`` at which they lie, whether ``neighbours`` correlate, whether model and noise ``explain`` them, and
+    how many lie ``far_off``. Of a loss that weighs no noise it is the distance alone, the residual.
     """
     if "fit" not in training:
         if training.get("loss", 0.0) is None:
-            return ["the loss overflowed"]
+            return {"distance": "the loss overflowed"}
         share = write_number(training["residual"]["mean_over_bearing_force"], digits=3)
         losses = {"loss": "loss", "held_out_loss": "at held-out speeds"}
         told = [f"{text} {write_number(training[key], digits=3)}" for key, text in losses.items() if key in training]
-        return [", ".join([f"residual {share} of the bearing force (mean)", *told])]
+        return {"distance": ", ".join([f"residual {share} of the bearing force (mean)", *told])}
     fit = training["fit"]
     square, white = fit["chi_square"], fit["whiteness"]
     levels = "noise and what the model may be off by" if "inconsistent_runs" in fit else "noise"
-    return [
-        f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
+    return {
+        "distance": f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",
-        f"neighbouring speeds correlate by {write_number(white['autocorrelation'], digits=2)} "
+        "neighbours": f"neighbouring speeds correlate by {write_number(white['autocorrelation'], digits=2)} "
         f"({write_number(white['over_its_deviation'], digits=2)} deviations from none)",
-        measure_misfit(fit).sentence,
-        f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
-    ]
+        "explain": measure_misfit(fit).sentence,
+        "far_off": f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
+    }
 
 
 def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:

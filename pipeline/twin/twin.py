@@ -173,7 +173,7 @@ def measure_unseen(
     is not finite.
     """
     unseen, node, rotor = list_unseen(machine), machine.prediction.node, measurement.rotor
-    lacks = max(node, *(force.node for force in unseen)) >= rotor.n_nodes
+    lacks = max(node, *(force.node for force in unseen)) >= rotor.n_places
     if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations) is not None:
         return None
     if not all(np.isfinite(answer.values).all() for answer in answers):

@@ -118,8 +118,8 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
         records = _records(
             unbalance, 3 * circular(rng, 1, SIZE) @ MACHINE.root.T + circular(rng, 5, SIZE) @ MACHINE.root.T, 1
         )
-        day = shift_to_day(records, RIG, "C000")
-        without.append(judge_together(records, RIG, 0.01))
+        day = shift_to_day(average_records(records, RIG), RIG, "C000")
+        without.append(judge_together(average_records(records, RIG), RIG, 0.01))
         within.append(predict_records(records, day).within[2:])
         readings = average_records(records, day)
         estimates = estimate_all(readings, [day] * 5)
@@ -132,23 +132,23 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
 def test_records_of_the_same_day_are_seldom_called_those_of_another() -> None:
     rng = np.random.default_rng(9)
     tables = [_records(_weights(rng, 4), circular(rng, 4, SIZE) @ MACHINE.root.T, 1) for _ in range(400)]
-    chances = np.array([judge_together(records, RIG, 0.01) for records in tables])
+    chances = np.array([judge_together(average_records(records, RIG), RIG, 0.01) for records in tables])
     assert 0.06 < np.mean(chances < 0.1) < 0.14
     unknown = replace(tables[0], unbalance=np.full_like(tables[0].unbalance, np.nan))
     turned = replace(tables[0], unbalance=tables[0].unbalance * np.where(np.arange(8) < 2, -1, 1)[:, None])
     for untold in (unknown, turned, _records(_weights(rng, 1), 1e-4)):  # no weights, one wrong label, one condition
-        assert np.isnan(judge_together(untold, RIG, 0.01))
+        assert np.isnan(judge_together(average_records(untold, RIG), RIG, 0.01))
 
 
 def test_a_reference_must_be_there_and_whole() -> None:
     records = _records(_weights(np.random.default_rng(10), 2))
-    with pytest.raises(DataError, match=r"must be a condition of 'given\.csv', but got 'C00': did you mean 'C00"):
-        shift_to_day(records, RIG, "C00")
+    with pytest.raises(DataError, match=r"must be a condition of the records, but got 'C00': did you mean 'C00"):
+        shift_to_day(average_records(records, RIG), RIG, "C00")
     lost = replace(records, displacement=np.where([True, False, True], records.displacement, np.nan))
     unknown = replace(records, unbalance=np.full_like(records.unbalance, np.nan))
     for lacking in (lost, unknown):
         with pytest.raises(DataError, match="must have its weights, and a vector of each probe"):
-            shift_to_day(lacking, RIG, "C001")
+            shift_to_day(average_records(lacking, RIG), RIG, "C001")
 
 
 def test_the_experiments_own_conditions_are_readings() -> None:

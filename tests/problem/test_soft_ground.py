@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel, project
@@ -23,6 +24,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor
+from pipeline.twin.modes import find_modes
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
 NODES, SPEEDS = (1, 6), np.linspace(100.0, 700.0, 30)
@@ -97,13 +99,18 @@ def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     places = [6 * n for n in range(9)] + [54 + 3 * i for i in range(len(nodes))]  # a link has x, y and z
     lateral = [p + d for p in places for d in ((0, 1, 3, 4) if p < 54 else (0, 1))]
     at = np.ix_(lateral, lateral)
-    dynamic = (exported.K(w) + 1j * w * (exported.C(w) + w * exported.G()) - w**2 * exported.M(w))[at]
+    mass, damping, stiffness = (each[at] for each in (exported.M(w), exported.C(w) + w * exported.G(), exported.K(w)))
+    dynamic = stiffness + 1j * w * damping - w**2 * mass
     force = np.zeros(len(lateral), dtype=complex)
     force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
     solved = np.linalg.solve(dynamic, force)
     expected = solved[[lateral.index(p + d) for p in places for d in (0, 1)]]
     read = simulate(rotor, films(), WEIGHTS[:1]).displacement[7, :, 0]
     assert np.abs(read - expected).max() <= 1e-10 * np.abs(expected).max()
+    nothing, inverse = np.zeros_like(mass), np.linalg.inv(mass)
+    state = np.block([[nothing, np.eye(len(mass))], [-inverse @ stiffness, -inverse @ damping]])
+    modes = find_modes(rotor, films(SPEEDS[[7]])).eigenvalues[0]
+    assert (np.abs(np.linalg.eigvals(state) - modes[:, None]).min(axis=1) < 1e-9 * np.abs(modes)).all()
 
 
 def test_readings_far_from_where_the_rotor_was_solved_are_exact_and_so_are_their_derivatives() -> None:
@@ -129,14 +136,18 @@ def test_readings_far_from_where_the_rotor_was_solved_are_exact_and_so_are_their
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("noise", "film", "support"), [(None, 1e-8, 1e-8), (NoiseModel(5e-8, 0.01), 0.01, 0.02)], ids=["exact", "noisy"]
+    ("noise", "which", "film", "support"),
+    [(None, slice(None), 1e-8, 1e-8), (NoiseModel(5e-8, 0.01), [0, 3, 4, 7], 0.01, 0.02)],
+    ids=["exact", "noisy"],
 )
-def test_casing_probes_tell_bearings_and_supports(noise: NoiseModel | None, film: float, support: float) -> None:
-    """From supports that are stated up to twice off: exact readings give both back to 1e-6 %, readings of 1 % and 0.05
-    um direct coefficients within 1 % and supports within 2 %.
+def test_casing_probes_tell_bearings_and_supports(
+    noise: NoiseModel | None, which: slice | list[int], film: float, support: float
+) -> None:
+    """From supports that are stated up to twice off: exact readings give all coefficients and supports back to 1e-6 %,
+    readings of 1 % and 0.05 um direct coefficients within 1 % and supports within 2 %.
     """
     off, supports, deviation = errors(fit(measured(noise=noise), default_setup(Guess(1e7, 1e4), constant=True)))
-    assert np.abs(off[:, [0, 3, 4, 7]]).max() < film
+    assert np.abs(off[:, which]).max() < film
     assert np.abs(supports).max() < support
     assert (np.abs(supports) < 3.5 * deviation).all()
 
@@ -164,3 +175,7 @@ def test_what_supports_cannot_do_is_refused() -> None:
     for kind, nodes in {"bearing_position": NODES, "support_mass": ()}.items():
         with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
             model_parameters({kind: 1e-3}, load_rotor(config(nodes)), soft.dataset, soft.known, soft.unknowns)
+    support = "{node: 1, mxx: 1 kg, myy: 1 kg, kxx: 1e7, kyy: 1e7, cxx: 1e3, cyy: 1e3}"
+    on_casing = "machine.prediction={node: 7, speed_rpm: 1000, unbalances: [{node: 7, magnitude: 1 g mm}]}"
+    with pytest.raises(ConfigError, match=r"must use nodes 0 to 6 of the rotor, but prediction\.unbalances got node 7"):
+        compose_config(["experiment=noisy_all", f"+machine.rotor.supports=[{support}]", on_casing])

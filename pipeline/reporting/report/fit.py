@@ -213,10 +213,10 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
 def _write_quality(training: Mapping[str, Any]) -> str:
     outcome, told = str(training.get("outcome", "unknown")).replace("_", " "), describe_readings(training)
     if "fit" not in training:
-        told.append("its loss weighs no noise, so there is no chi-square")
+        told["explain"] = "its loss weighs no noise, so there is no chi-square"
     elif not measure_misfit(training["fit"]).explained():
-        told[2] += ". What is left is systematic, and the deviations are too small"
-    return " ".join(f"{text[0].upper()}{text[1:]}." for text in (f"the fit ended as: {outcome}", *told))
+        told["explain"] += ". What is left is systematic, and the deviations are too small"
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in (f"the fit ended as: {outcome}", *told.values()))
 
 
 def _list_probes(content: ReportContent, fit: FitContent) -> Table:
