@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2463,
+    "reporting": 2473,
     "tracking": 411,
     "stages": 1207,
     "beside the rooms": 531,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18302, 14500),
+    "statements of pipeline/": (18312, 14500),
     "files": (265, 250),
     "classes": (325, 260),
     "is None, is not None": (339, 420),

@@ -179,17 +179,25 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
         drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
-        keys = list_keys([panel])
-        drawn[0].legend(
-            handles=[_draw_key(key) for key in keys],
-            fontsize=6.5,
-            ncols=2 if max(len(key.label) for key in keys) < 25 else 1,
-        )
+        _draw_keys(drawn[0], [_draw_key(key) for key in list_keys([panel])])
     return drawn
 
 
+def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> None:
+    """A legend inside: where the curves leave room, or above them if there are more than a ``few`` keys."""
+    short = max(len(key.get_label()) for key in keys) < 25
+    if len(keys) <= few:
+        ax.legend(handles=keys, fontsize=6.5, ncols=columns if short else 1)
+        return
+    share = 0.07 * -(-len(keys) // columns)  # of the height
+    scale = ax.yaxis.get_transform()
+    low, high = scale.transform(ax.get_ylim())
+    ax.set_ylim(top=scale.inverted().transform(low + (high - low) / (1 - share)))
+    ax.legend(handles=keys, fontsize=6.5, ncols=columns, loc="upper left")
+
+
 def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) -> None:
-    """Below an axis stand no more than ``ticks_an_inch``: numbers of five digits have room between them."""
+    """Below an axis stand no more than ``ticks_an_inch``, room for numbers of five digits; whole ones below seeds."""
     places = MICROMETRES if panel.equal else MICROMETRES_PEAK_TO_PEAK
     scale = places if axes.quantity == "amplitude" else 1.0
     if axes.scale == "log":
@@ -198,7 +206,8 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) ->
         _set_logarithmic(ax, "x", [curve.x for curve in axes.curves])
     else:
         inches = ax.get_position().width * ax.figure.get_figwidth()
-        ax.locator_params(axis="x", nbins=max(3, round(ticks_an_inch * inches)))
+        whole = all((curve.x % 1 == 0).all() for curve in axes.curves)
+        ax.locator_params(axis="x", nbins=max(3, round(ticks_an_inch * inches)), integer=whole)
     for curve in axes.curves:
         _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
     for at, text in axes.rules:

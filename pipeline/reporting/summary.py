@@ -303,4 +303,4 @@ def _draw_response(twin: Twin, state: str) -> Panel:
     axes = Axes(curves, _AMPLITUDE, scale="log", rules=[(speed / RAD_S_PER_RPM, "") for speed in critical])
     at = f",{state.removeprefix(' at')}" if state else ""
     node = twin.vibration["identified"].node
-    return Panel(f"predicted: node {node} under an unbalance that no run has{at}", RPM, [axes], legend=True)
+    return Panel(f"predicted: node {node}, an unbalance that no run has{at}", RPM, [axes], legend=True)
