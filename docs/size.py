@@ -20,12 +20,12 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1707,
-    "laws": 487,
-    "rotor": 746,
+    "config": 1711,
+    "laws": 485,
+    "rotor": 745,
     "data": 1114,
     "sweep": 249,
-    "ingest": 1460,
+    "ingest": 1472,
     "problem": 1716,
     "identification": 2666,
     "evaluation": 224,
@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2473,
+    "reporting": 2478,
     "tracking": 411,
     "stages": 1207,
     "beside the rooms": 531,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18312, 14500),
+    "statements of pipeline/": (18330, 14500),
     "files": (265, 250),
-    "classes": (325, 260),
+    "classes": (326, 260),
     "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (121, 200),
-    "statements of tests/": (13043, 13000),
+    "statements of tests/": (13045, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (714, 380),
     "their files": (107, 75),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat
 
+from pipeline.config.messages import suggest
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
 from pipeline.config.quantities import (
@@ -338,7 +339,7 @@ class MeasuredConfig(AnyRecordingsConfig):
         for run in self.runs:
             yield from _check_repeated([other for other in self.runs if other.name == run.name])
         if self.baseline and self.baseline not in names:
-            yield f"must have the baseline among its runs {names}, but baseline is '{self.baseline}'"
+            yield f"must have the baseline among its runs, but it is '{self.baseline}'{suggest(self.baseline, names)}"
         for run in self.runs:
             run.sources(self.file)
             excited = bool(run.unbalances or run.forces)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -216,3 +216,13 @@ ModelledLoad = Annotated[
 def middle(value: Any) -> float:
     """The known number, or the guess."""
     return float(value.guess if isinstance(value, GuessConfig) else value)
+
+
+def check_clearance(journal: Any) -> Iterator[str]:
+    """A sentence where the radial clearance of a ``journal`` bearing is no smaller than its journal's radius."""
+    radius, clearance = middle(journal.journal_diameter) / 2, middle(journal.radial_clearance)
+    if clearance >= radius:
+        yield (
+            f"radial_clearance must be smaller than the journal's radius, but it is {1e3 * clearance:g} mm and the "
+            f"radius {1e3 * radius:g} mm: correct the unit of the one that is wrong"
+        )

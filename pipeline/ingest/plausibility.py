@@ -20,28 +20,30 @@ from pipeline.rotor.model import RotorModel
 def note_size(
     dataset: VibrationDataset, rotor: RotorModel, stiffness: float, damping: float, far_off: float = 300.0
 ) -> list[str]:
-    """A sentence where amplitudes are far from the model's, median over speeds, channels and excited runs.
+    """A sentence where amplitudes of a run are far from the model's, median over speeds and channels.
 
     The model is the rotor on isotropic bearings of ``stiffness`` (N/m) and ``damping`` (N s/m), a guess. No bearing
     changes the vibration by the factor ``far_off``; a forgotten unit (um for m, mm for um) changes it by a thousand.
     """
-    acting = {excitation.run for excitation in dataset.excitations}
-    excited = np.array([run in acting for run in dataset.runs])
     given = {"kxx": stiffness, "kyy": stiffness, "cxx": damping, "cyy": damping}
     values = np.array([given.get(name, 0.0) for name in COEFFICIENTS])
     shape = (len(rotor.bearing_nodes), len(dataset.speeds), len(COEFFICIENTS))
     bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, np.broadcast_to(values, shape))
     response = solve_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
-    modelled = np.abs((dataset.sensor_matrix(rotor.n_dof) @ response)[..., excited])
-    measured = np.abs(dataset.displacement[..., excited])
-    both = (modelled > 0) & (measured > 0)
-    ratio = float(np.median(measured[both] / modelled[both])) if both.any() else 1.0
-    if 1 / far_off <= ratio <= far_off:
+    modelled = np.abs(dataset.sensor_matrix(rotor.n_dof) @ response)
+    measured, far = np.abs(dataset.displacement), dict[str, float]()
+    for r, run in enumerate(dataset.runs):
+        both = (modelled[..., r] > 0) & (measured[..., r] > 0)
+        ratio = float(np.median(measured[both, r] / modelled[both, r])) if both.any() else 1.0
+        if not 1 / far_off <= ratio <= far_off:
+            far[run] = ratio
+    if not far:
         return []
+    ratio, runs = max(far.values(), key=lambda ratio: abs(np.log(ratio))), ", ".join(f"'{run}'" for run in far)
     text = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
     return [
-        f"the amplitudes are {text} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a unit wrong, of "
-        "the lengths or of the unbalances?"
+        f"the amplitudes of run {runs} are {text} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a "
+        "unit wrong, of the lengths or of the unbalances?"
     ]
 
 

@@ -146,7 +146,8 @@ def _list_probes(seen: Mapping[str, str]) -> str:
 
 def _list_runs(runs: Mapping[str, tuple[Path, str | None]], folder: Path, part: str = "sheet") -> dict[str, str]:
     """The runs, each a file or a ``part`` of it, and the one without weights among them."""
-    baseline = next((name for name in runs if re.search("found|base|ref|initial|null", name)), next(iter(runs)))
+    hints = "found|fund|base|ref|initial|null|zero|without|ohne"
+    baseline = next((name for name in runs if re.search(hints, name, re.IGNORECASE)), "???")
     lines = [
         "  # recognised: say what was on the shaft, such as unbalances: [{node: 2, magnitude: 9 g mm, phase: 0 deg}]\n"
     ]

@@ -100,6 +100,9 @@ class TableRecordingsConfig(MeasuredConfig):
             for name, probe in self.probes.items():
                 if self.layout == "wide" and not probe.columns and name not in run.columns:
                     yield f"probe '{name}' must have columns in the wide layout, but it has none"
+                pair = run.columns.get(name) or probe.columns
+                if pair and pair.amplitude == pair.phase:
+                    yield f"probe '{name}' must have another column of phases than '{pair.amplitude}', but has none"
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""

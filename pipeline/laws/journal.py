@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from pipeline.config.quantities import CONDITION, LengthNumber, LoadNumber, PureNumber, ShaftAngle, middle
+from pipeline.config.quantities import (
+    CONDITION,
+    LengthNumber,
+    LoadNumber,
+    PureNumber,
+    ShaftAngle,
+    check_clearance,
+    middle,
+)
 from pipeline.config.section import Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import LOAD, Number, Points, Recorded, add_slope, turn_axes
@@ -43,12 +51,7 @@ class _JournalLawConfig(Section):
 
     @rule
     def _turns_in_its_bore(self) -> Iterator[str]:
-        radius, clearance = middle(self.journal_diameter) / 2, middle(self.radial_clearance)
-        if clearance >= radius:
-            yield (
-                f"radial_clearance must be smaller than the journal's radius, but it is {1e3 * clearance:g} mm and "
-                f"the radius {1e3 * radius:g} mm: correct the unit of the one that is wrong"
-            )
+        yield from check_clearance(self)
 
     @rule
     def _shares_a_condition(self) -> Iterator[str]:

@@ -182,13 +182,20 @@ def _describe_run(content: ReportContent) -> str:
 
 
 def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
-    """Name the critical speeds with their decrements, and between which speeds they were sought."""
-    rpm = _list_speeds(fit)
+    """Name the critical speeds with their decrements, and between which speeds they were sought.
+
+    Those of so much damping that API 617 asks for no margin (:func:`pipeline.twin.modes.require_separation`) are named
+    apart: no peak of the vibration shows them.
+    """
+    rpm, damped = _list_speeds(fit), [m for m in critical.values() if m["separation_margin_required_percent"] == 0]
     listed = [
         f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
         for mode in critical.values()
+        if mode not in damped
     ]
-    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}"
+    near = _join(f"{write_number(mode['rpm'], digits=2)}" for mode in damped)
+    rest = f"; critically damped, so without a peak: near {near} rpm" if damped else ""
+    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}{rest}"
 
 
 def describe_stability(stability: Mapping[str, Any]) -> str:

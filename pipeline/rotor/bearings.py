@@ -14,7 +14,16 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.quantities import CONDITION, Angle, AnyDamping, AnyStiffness, Length, ModelledLoad, ShaftAngle
+from pipeline.config.quantities import (
+    CONDITION,
+    Angle,
+    AnyDamping,
+    AnyStiffness,
+    Length,
+    ModelledLoad,
+    ShaftAngle,
+    check_clearance,
+)
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
 from pipeline.laws.numbers import LOAD, turn_axes
@@ -114,17 +123,26 @@ class BallBearingConfig(_Bearing):
         )
 
 
-class CylindricalBearingConfig(_Bearing):
+class _JournalBearing(_Bearing):
+    """A bearing with a film between journal and bore."""
+
+    journal_diameter: Length
+    length: Length
+    radial_clearance: Length
+    oil_viscosity: ModelledViscosity
+
+    @rule
+    def _turns_in_its_bore(self) -> Iterator[str]:
+        yield from check_clearance(self)
+
+
+class CylindricalBearingConfig(_JournalBearing):
     """ROSS ``CylindricalBearing``, a short fluid-film bearing (Friswell et al. 2010, page 177).
 
     ``static_load`` of null shares the rotor's weight equally among the bearings.
     """
 
     kind: Literal["cylindrical"]
-    journal_diameter: Length
-    length: Length
-    radial_clearance: Length
-    oil_viscosity: ModelledViscosity
     static_load: ModelledLoad | None = None
 
     def tabulate(self, speeds: np.ndarray, operating: Operating, share: float, ross: Any) -> np.ndarray:
@@ -149,7 +167,7 @@ class CylindricalBearingConfig(_Bearing):
         )
 
 
-class JournalTableConfig(_Bearing):
+class JournalTableConfig(_JournalBearing):
     """A journal bearing from a table of dimensionless coefficients over the Sommerfeld number.
 
     ``rows`` are (S, Kxx, Kxy, Kyx, Kyy, Bxx, Bxy, Byx, Byy), with x the direction of the load,
@@ -160,10 +178,6 @@ class JournalTableConfig(_Bearing):
     kind: Literal["journal_table"]
     rows: tuple[Annotated[tuple[float, ...], Field(min_length=9, max_length=9)], ...] | None = Field(None, min_length=4)
     table: str | None = None
-    journal_diameter: Length
-    length: Length
-    radial_clearance: Length
-    oil_viscosity: ModelledViscosity
     static_load: ModelledLoad
     preload: float | None = Field(None, ge=0, lt=1)
     load_angle: ShaftAngle = 0.0

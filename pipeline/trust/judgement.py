@@ -115,7 +115,7 @@ def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: fl
     if reason.next:
         return reason
     run, gain = gains.best(b, c)
-    step = "No single run of machine.candidates helps much: use larger weights, more speeds, or probes elsewhere."
+    step = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
     if gain >= worth:
         step = (
             f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls {gain:.2g} "

@@ -59,12 +59,19 @@ BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
         table_config([ONE], baseline="one"),
         "must have nothing that excites the baseline run 'one'",
     ),
-    "no such baseline": (table_config([ONE], baseline="zero"), "must have the baseline among its runs ['one']"),
+    "no such baseline": (
+        table_config([ONE], baseline="onne"),
+        "must have the baseline among its runs, but it is 'onne'; did you mean 'one'?",
+    ),
     "two runs of one name": (table_config([ONE, ONE]), "must give every run a name of its own"),
     "no meaning of angles": (table_config([ONE], shaft_angle=None), "must say in shaft_angle how phases of unbalances"),
     "no angle of the tacho": (table_config([ONE], shaft_angle="with_rotation"), "must give tacho.angle"),
     "no file": (table_config([RUNS[0]]), "run 'one' must have a file, but it has none"),
     "no columns": (table_config([ONE], probes=probes_config()), "probe 'A' must have columns in the wide layout"),
+    "one column twice": (
+        table_config([ONE], probes=probes_config(columns=lambda name: {"amplitude": "a", "phase": "a"})),
+        "probe 'A' must have another column of phases than 'a', but has none",
+    ),
     "no phase of an unbalance": (
         table_config([{"name": "one", "file": "a", "unbalances": [{"node": 1, "magnitude": "1 g mm"}]}]),
         "machine.recordings.runs.0.unbalances.0.phase: must be given",
@@ -238,12 +245,13 @@ def test_generated_and_foreign_data_are_not_replaced(ball_tables: Path) -> None:
 def test_units_that_the_model_contradicts_are_warned_of(
     ball_tables: Path, capsys: pytest.CaptureFixture[str], machine: MachineFactory
 ) -> None:
-    """Unbalances in kg mm for g mm: a thousand times off; probes that are read the wrong way round: backward orbits."""
-    heavy = [run | {"unbalances": [run["unbalances"][0] | {"magnitude": "100 kg mm"}]} for run in BALL_RUNS]
-    wrong = ball_section(ball_tables, runs=heavy, conventions=CONVENTIONS | {"phase": "lead"})
+    """An unbalance in kg mm for g mm: a thousand times off; probes read the wrong way round: backward orbits."""
+    heavy = BALL_RUNS[0] | {"unbalances": [BALL_RUNS[0]["unbalances"][0] | {"magnitude": "100 kg mm"}]}
+    wrong = ball_section(ball_tables, runs=[heavy, *BALL_RUNS[1:]], conventions=CONVENTIONS | {"phase": "lead"})
     run_stage(with_ingest(wrong, output=str(ball_tables / "wrong")))
     assert_says(
         capsys.readouterr().err,
+        "the amplitudes of run 'one' are",
         "times smaller than the rotor's on bearings of",
         "the orbits of run 'one' turn backward at",
     )

@@ -184,9 +184,11 @@ def list_contradictions(folder: Path) -> list[str]:
         explained = "do not explain the readings" not in said[said.index(ratio[0]) :].split("Readings beyond")[0]
         wrong += ["good, not explained"] if not explained and "whole: good" in answer else []
     if (critical := re.search(r"Critical speeds: (.*?), between", answer)) is not None:
-        listed = [row for row in rows if len(row) == 6 and row[0].isdigit() and "±" in row[1] + row[2] + "±"]
+        every = [row for row in rows if len(row) == 6 and row[0].isdigit() and "±" in row[1] + row[2] + "±"]
+        listed = [row for row in every if row[5] != "0"]  # the others show no peak
         wrong += [critical[1]] if critical[1] != (", ".join(
             f"{row[1]} rpm (logarithmic decrement {row[2]})" for row in listed) or "none") else []  # fmt: skip
+        wrong += [answer] if (len(every) > len(listed)) != ("critically damped" in answer) else []
         stable = re.search(r"smallest logarithmic decrement ([\d.]+(?: ± [\d.]+)?) at", answer)
         wrong += [] if stable is None or said.count(f"logarithmic decrement {stable[1]} at") > 1 else [stable[0]]
         wrong += [] if ("stable at all speeds" in answer) == ("identified machine is stable" in said) else ["stable"]

@@ -55,15 +55,18 @@ def list_sections(content: ReportContent) -> list[Section]:
 def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     """What was asked, the answer, what may be relied on and what to do next; and both kinds of coefficients, drawn."""
     config, shown, machine, values = content.config, fit.at_conditions, content.machine_verdict, []
+    several = sum(map(len, shown.unknowns)) > 8  # more numbers than a paragraph can carry: the direct ones
     at = int(np.abs(shown.rpm - config.machine.prediction.speed_rpm).argmin())
     for b, (node, names) in enumerate(zip(shown.identified.nodes, shown.unknowns, strict=True)):
-        for name in names:
+        told = [name for name in names if not several or name[1] == name[2]]
+        for name in told:
             (scale, unit), place = UNITS[name[0]], (b, at, COEFFICIENTS.index(name))
             number = write_number(scale * float(shown.identified.values[place]), scale * float(shown.deviation[place]))
             said = " (not determined)" if shown.lost[place] else f" {number} {unit}"
-            values.append(f"{f'at node {node} ' * (name == names[0])}{name}{said}")
+            values.append(f"{f'at node {node} ' * (name == told[0])}{name}{said}")
     known = ", with one standard deviation" if shown.stated else ""
     answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}."
+    answer += " Cross-coupling, and other speeds, stand in the section Stiffness and damping." * several
     if fit.twin:
         modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], shown.rpm[at])
         critical, stable = list_critical_speeds(fit, modes["critical_speeds"]), describe_stability(modes["stability"])
