@@ -58,6 +58,33 @@ BUDGETS = {
 }
 """Measure -> the most that it may be, and what it is to become."""
 
+BEYOND = {
+    ("reporting",): (1900, "each stage's sentences, tables and figures; a page, a PDF and PNGs of the same values"),
+    ("identification",): (
+        1800,
+        "two kinds of rows (the paper's residual, output error); the search over kinds of bearings; bands of several "
+        "answers; networks trained near the nodes; senses of phases",
+    ),
+    ("stages",): (1400, ""),
+    ("config", "beside the rooms"): (
+        1800,
+        "sections of recordings (8 formats), units, messages with the nearest key; the command line, exit codes, pools",
+    ),
+    ("problem", "trust"): (
+        1700,
+        "what is expected before a fit, and the design of runs; levels of noise of records; Kalman and expansion; "
+        "mistakes by name",
+    ),
+    ("balance",): (650, "records of another day"),
+    ("tuning", "tracking"): (600, "studies by several processes, trials as text; MLflow in a process of its own"),
+    ("methods", "comparison"): (650, "eight conventional methods and their cases"),
+    ("laws", "rotor", "data", "sweep", "ingest", "evaluation", "twin", "export"): (
+        4000,
+        "formats read as files of strangers; supports; films as laws and as a population; run-ups; exports",
+    ),
+}
+"""Rooms -> the statements that they are to become, and what stands there beyond them."""
+
 ENTERED = "functions entered by ingest and train of measured_demo"
 ENTERED_FILES = "their files"
 
@@ -187,7 +214,10 @@ def show() -> None:
     parts = Table("room", "statements", "budget")
     for name, budget in STATEMENTS.items():
         parts.add_row(name, f"{rooms[name]:,}", f"{budget:,}")
-    Console().print(whole, parts)
+    groups = Table("rooms", "statements", "aim", "what stands there beyond the aim")
+    for names, (aim, reason) in BEYOND.items():
+        groups.add_row(", ".join(names), f"{sum(rooms[name] for name in names):,}", f"{aim:,}", reason)
+    Console().print(whole, parts, groups)
 
 
 if __name__ == "__main__":
