@@ -23,7 +23,7 @@ import numpy as np
 
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
-from pipeline.errors import IdentifiabilityError
+from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.problem.noise_levels import (
     FULL,
     NoiseLevels,
@@ -120,7 +120,14 @@ def fit_influence(
 
 
 def require_apart(conditions: Conditions) -> None:
-    """Raise IdentifiabilityError where these weights do not determine influence coefficients."""
+    """Raise IdentifiabilityError where these weights do not determine influence coefficients, and DataError where a
+    condition was not read at every speed.
+    """
+    if not conditions.complete:
+        raise DataError(
+            "influence coefficients must come from conditions that were read at the same speeds, but some were not: "
+            "leave these conditions or speeds out, or identify the machine (stage=train), which needs no common speeds"
+        )
     design = design_of(conditions.unbalance)
     scale = abs(design).max(0)
     if np.linalg.matrix_rank(design / np.where(scale > 0, scale, 1)) < design.shape[1]:

@@ -20,7 +20,7 @@ class Conditions:
 
     names: tuple[str, ...]  # C
     speeds: np.ndarray  # (S,) rad/s, nominal
-    own_speeds: np.ndarray  # (C, S) rad/s, mean over the records
+    own_speeds: np.ndarray  # (C, S) rad/s, mean over the records; NaN where nothing was read
     displacement: np.ndarray  # (C, S, P) complex, m, mean over the records; NaN where nothing was read
     counts: np.ndarray  # (C,) records
     channels: tuple[tuple[int, float], ...]  # P of (node, angle in degrees)
@@ -32,6 +32,11 @@ class Conditions:
     def vectors(self) -> np.ndarray:
         """(C, S P) complex, m: what all channels show at all speeds, the channel fastest."""
         return self.displacement.reshape(len(self.names), -1)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every condition was read at every speed."""
+        return not bool(np.isnan(self.displacement).any())
 
     def of(self, rows: Sequence[int] | np.ndarray) -> Conditions:
         """The conditions of these indices alone; the scatter of the records stays that of all."""
@@ -85,23 +90,34 @@ def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None 
                 f"runs of one condition must have the same weights, but '{dataset.runs[differing[0]]}' and "
                 f"'{dataset.runs[runs[0]]}' of condition '{condition}' differ: give one of them a condition of its own"
             )
-    mean = np.stack([dataset.displacement[..., runs].mean(-1) for runs in rows])
+    present = [dataset.present[:, runs] for runs in rows]
+    mean = np.stack(
+        [_average(dataset.displacement[..., runs], p[:, None]) for runs, p in zip(rows, present, strict=True)]
+    )
+    mean_speeds = np.stack([_average(dataset.frequencies[:, runs], p) for runs, p in zip(rows, present, strict=True)])
     deviation = np.stack(
         [dataset.displacement[..., r] - mean[names.index(labels[r])] for r in range(len(labels))]
     )  # (R, S, P)
-    freedom = len(labels) - len(names)
+    deviation[~dataset.present.T] = 0.0
+    freedom = dataset.present.sum(axis=1) - np.isfinite(mean_speeds).sum(axis=0)  # (S,)
     scatter = np.einsum("rsp,rsq->spq", deviation, deviation.conj())
     return Conditions(
         names=names,
         speeds=dataset.speeds,
-        own_speeds=np.stack([dataset.frequencies[:, runs].mean(-1) for runs in rows]),
+        own_speeds=mean_speeds,
         displacement=mean,
         counts=np.array([len(runs) for runs in rows]),
         channels=dataset.channels,
         planes=planes,
         unbalance=np.stack([loads[runs[0]] for runs in rows]),
-        record_covariance=scatter / freedom if freedom else np.zeros_like(scatter),
+        record_covariance=scatter / np.maximum(freedom, 1)[:, None, None],
     )
+
+
+def _average(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """The mean over the last axis of what is ``present``; NaN where nothing is."""
+    count = present.sum(axis=-1)
+    return np.where(count > 0, (values * present).sum(axis=-1) / np.maximum(count, 1), np.nan)
 
 
 def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...], turning: float = 0.05) -> np.ndarray:

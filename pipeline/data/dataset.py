@@ -123,6 +123,11 @@ class VibrationDataset:
         return {"speed": self.speeds, **self.operating}
 
     @property
+    def readings(self) -> np.ndarray:
+        """(n, P) complex, m: the displacements of every run and point that were measured."""
+        return self.displacement.swapaxes(1, 2)[self.present]
+
+    @property
     def n_readings(self) -> int:
         """How many complex numbers were measured."""
         return int(self.present.sum()) * len(self.channels)
@@ -202,7 +207,7 @@ def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationData
     if len(alone):
         rpm = dataset.speeds[alone[0][0]] / RAD_S_PER_RPM
         raise DataError(
-            f"the baseline '{baseline}' must be measured at the operating conditions of the other runs, but at "
+            f"the baseline '{baseline}' must be measured at the speeds and conditions of the other runs, but at "
             f"{len(alone)} points it was not (the first: run '{dataset.runs[alone[0][1]]}', {rpm:g} rpm): say in "
             "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
             "residual unbalance (identify.unbalance_planes)"

@@ -6,8 +6,8 @@ column ``frequency_hz`` gives the excitation frequency where it is not the rotor
 blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A column ``condition`` names
 what was on the machine in each run: runs of one condition repeat each other. The order of the rows means nothing.
 Further columns are operating conditions (:mod:`pipeline.config.operating`), such as ``oil_temperature_degC``: a run may
-have a speed once at each of them, and need not have what others have. Excitation: see
-:mod:`pipeline.data.excitation_files`.
+have a speed once at each of them. A run has all channels at each of its speeds, and need not have the speeds of others.
+Excitation: see :mod:`pipeline.data.excitation_files`.
 """
 
 from __future__ import annotations
@@ -238,12 +238,11 @@ def _assemble(
             f"'{path}' must have one row {law}, but some are there twice ({describe_first(np.argwhere(counts > 1)[0])})"
         )
     present = np.asarray(counts.any(axis=1))  # (S, R)
-    varies = any(np.ptp(values) > 0 for values in operating.values())
-    missing = np.argwhere((counts == 0) & (present[:, None] | (not varies)))
+    missing = np.argwhere((counts == 0) & present[:, None])
     if len(missing):
         raise DataError(
-            f"'{path}' must have every channel at every speed of every run, but {len(missing)} of {counts.size} are "
-            f"missing ({describe_first(missing[0])})"
+            f"'{path}' must have every channel at every speed of a run, but {len(missing)} of "
+            f"{len(pairs) * present.sum()} are missing ({describe_first(missing[0])})"
         )
     displacement = np.zeros(shape, dtype=complex)
     values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))

@@ -190,7 +190,7 @@ def _plane_scale(measurement: Measurement) -> float:
     units = [np.abs(block.unit_sensors) for block in measurement.response.blocks if block.unit_sensors.shape[-1]]
     if not units:
         return 1.0
-    return float(np.median(np.abs(measurement.dataset.displacement)) / np.median(units[0]))
+    return float(np.median(np.abs(measurement.dataset.readings)) / np.median(units[0]))
 
 
 # --- a population of bearings ----------------------------------------------------------------------------

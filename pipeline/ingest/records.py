@@ -203,28 +203,22 @@ class Records:
 def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The nominal speeds (S,) of records at ``speeds`` (n,) rad/s, ascending, and the nominal one of each record (n,).
 
-    Raises DataError where the records of a nominal speed differ by more than they may.
+    Speeds that follow each other closely over a wider range than a nominal speed may have stand each for itself.
     """
     ordered = np.sort(speeds)
     starts = np.flatnonzero(np.diff(ordered, prepend=-np.inf) > SYNCHRONOUS * ordered)
     group = np.searchsorted(ordered[starts], speeds, side="right") - 1
     nominal = np.array([speeds[group == s].mean() for s in range(len(starts))])
-    off = np.abs(speeds / nominal[group] - 1)
-    if off.max() > SYNCHRONOUS:
-        worst = int(off.argmax())
-        raise DataError(
-            f"the records of a nominal speed must be within {100 * SYNCHRONOUS:g} % of it, but one "
-            f"at {format_rpm(speeds[worst])} rpm is {100 * off[worst]:.2g} % from "
-            f"{format_rpm(nominal[group][worst])} rpm: a run-up is no table of records"
-        )
+    wide = np.abs(speeds / nominal[group] - 1) > SYNCHRONOUS
+    nominal, group = np.unique(np.where(np.isin(group, group[wide]), speeds, nominal[group]), return_inverse=True)
     return nominal, group
 
 
 def to_dataset(records: Records) -> VibrationDataset:
     """The data set with a run for every record of a condition, called ``CONDITION.RECORD``.
 
-    Raises DataError for blank cells, for a record that is missing at a speed or there twice, and for a condition with
-    two different weights.
+    A condition need not have every record at every speed. Raises DataError for blank cells, for a record that is there
+    twice at a speed, and for a condition with two different weights.
     """
     _require_complete(records)
     nominal, group = find_speeds(records.speeds)
@@ -234,14 +228,14 @@ def to_dataset(records: Records) -> VibrationDataset:
     at_run = np.array([place[name] for name in names])
     counts = np.zeros((len(nominal), len(runs)), dtype=int)
     np.add.at(counts, (group, at_run), 1)
-    if (counts != 1).any():
-        s, r = np.argwhere(counts != 1)[0]
+    if (counts > 1).any():
+        s, r = np.argwhere(counts > 1)[0]
         raise DataError(
-            f"{records.source} must have every record of a condition once at each speed, but '{runs[r]}' is there "
-            f"{counts[s, r]} times near {format_rpm(nominal[s])} rpm"
+            f"{records.source} must have every record of a condition at most once at each speed, but '{runs[r]}' is "
+            f"there {counts[s, r]} times near {format_rpm(nominal[s])} rpm: number them apart (columns.record)"
         )
-    displacement = np.empty((len(nominal), len(records.channels), len(runs)), dtype=complex)
-    run_speeds = np.empty(counts.shape)
+    displacement = np.zeros((len(nominal), len(records.channels), len(runs)), dtype=complex)
+    run_speeds = np.repeat(nominal[:, None], len(runs), axis=1)
     displacement[group, :, at_run] = records.displacement
     run_speeds[group, at_run] = records.speeds
     first = {name: i for i, name in reversed(list(enumerate(names)))}
@@ -252,7 +246,14 @@ def to_dataset(records: Records) -> VibrationDataset:
         for node, u in zip(records.planes, records.unbalance[first[run]], strict=True)
     )
     return VibrationDataset(
-        nominal, runs, records.channels, displacement, excitations, run_speeds, conditions=conditions
+        nominal,
+        runs,
+        records.channels,
+        displacement,
+        excitations,
+        run_speeds,
+        conditions=conditions,
+        present=counts > 0,
     )
 
 

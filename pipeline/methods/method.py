@@ -92,10 +92,10 @@ class Method:
     def identify(self, measurement: Measurement, options: MethodOptions) -> Estimate:
         """Answer from the measurement, less the runs that the method can't use. Raises Refusal.
 
-        A method of the speed alone answers at each operating condition by itself.
+        A method of the speed alone answers at each operating condition by itself, and so where runs are missing.
         """
         used = measurement if self.takes_planes else drop_unbalance(measurement)
-        if used.dataset.operating and not self.takes_conditions:
+        if (used.dataset.operating or not used.dataset.complete) and not self.takes_conditions:
             return solve_each(lambda state: self.solve(state, options), used)
         return self.solve(used, options)
 

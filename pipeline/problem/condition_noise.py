@@ -106,8 +106,10 @@ def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) ->
 
 
 def suffices(conditions: Conditions, enough: int = 2) -> bool:
-    """Whether there are conditions ``enough``, for each entry of a vector, to estimate the levels of their noise."""
-    return len(conditions.names) > enough * int(conditions.vectors.shape[1])
+    """Whether there are conditions ``enough``, for each entry of a vector, to estimate the levels of their noise; they
+    must have been read at every speed.
+    """
+    return len(conditions.names) > enough * int(conditions.vectors.shape[1]) and conditions.complete
 
 
 def spread_conditions(
@@ -129,12 +131,15 @@ def spread_conditions(
 
 
 def to_dataset(conditions: Conditions) -> VibrationDataset:
-    """The data set with one run a condition: the mean of its records, at their mean speed."""
+    """The data set with one run a condition: the mean of its records, at their mean speed, where there are some."""
     acting = tuple(
         Excitation(name, "unbalance", node, float(np.abs(u)), float(np.angle(u)))
         for name, loads in zip(conditions.names, conditions.unbalance, strict=True)
         for node, u in zip(conditions.planes, loads, strict=True)
     )
-    displacement = conditions.displacement.transpose(1, 2, 0)
-    speeds = conditions.own_speeds.T
-    return VibrationDataset(conditions.speeds, conditions.names, conditions.channels, displacement, acting, speeds)
+    displacement = np.nan_to_num(conditions.displacement.transpose(1, 2, 0))
+    present = np.isfinite(conditions.own_speeds.T)
+    speeds = np.where(present, conditions.own_speeds.T, conditions.speeds[:, None])
+    return VibrationDataset(
+        conditions.speeds, conditions.names, conditions.channels, displacement, acting, speeds, present=present
+    )

@@ -246,25 +246,30 @@ class Measurement:
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.
 
-        Without balance planes nothing is subtracted; a single synchronous run stays as it is. The model is as stated.
+        The first is that of each point. Without balance planes nothing is subtracted; a synchronous run that is single,
+        or alone at its point, stays as it is. The model is as stated.
         """
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
             solved = replace(self.response, planes=())
             return replace(self, unknowns=unknowns, parameters=(), values=(), solved=solved)
-        first = turning[0]
-        rest = np.delete(np.arange(len(data.runs)), first)
-        turns = np.isin(rest, turning)
-        before = self.baseline
-        taken = data.displacement[..., [first]] * turns
-        less = data.of_runs(rest)
+        every, seen = np.arange(len(data.runs)), data.present[:, turning]
+        first = turning[seen.argmax(axis=1)]  # (S,)
+        turns = np.isin(every, turning) & (seen.sum(axis=1, keepdims=True) > 1)  # (S, R)
+        left = data.present & ~(turns & (every == first[:, None]))
+        rest = np.flatnonzero(left.any(axis=0))
+        at_first, before = first[:, None, None], self.baseline
+        taken = np.take_along_axis(data.displacement, at_first, axis=2)
         # Two runs with the same baseline differ by their readings themselves: the baseline cancels with its noise.
-        read = np.where(turns, before[..., [first]] + data.displacement[..., [first]], before[..., rest])
-        blocks = [_less_first(block, first, rest) for block in self.response.blocks]
+        read = np.where(turns[:, None], np.take_along_axis(before, at_first, axis=2) + taken, before)
+        shown = np.where(left[:, None], data.displacement - taken * turns[:, None], 0.0)
+        blocks = [_less_first(block, first, turns, rest) for block in self.response.blocks]
         return replace(
             self,
-            dataset=replace(less, displacement=less.displacement - taken, subtracted=read),
+            dataset=replace(
+                data.of_runs(rest), displacement=shown[..., rest], subtracted=read[..., rest], present=left[:, rest]
+            ),
             drift=self.drift.select(np.arange(len(data.speeds)), rest),
             unknowns=unknowns,
             parameters=(),
@@ -273,12 +278,12 @@ class Measurement:
         )
 
 
-def _less_first(block: ResponseBlock, first: int, rest: np.ndarray) -> ResponseBlock:
-    """The block without the run ``first``, which is subtracted from the others if it is among them."""
-    keep = block.runs != first
-    forced_s, forced_b = block.forced_sensors, block.forced_bearings
-    if not keep.all():
-        forced_s = forced_s[..., keep] - forced_s[..., ~keep]
-        forced_b = forced_b[..., keep] - forced_b[..., ~keep]
+def _less_first(block: ResponseBlock, first: np.ndarray, turns: np.ndarray, rest: np.ndarray) -> ResponseBlock:
+    """The block without the run ``first`` (S,) of each point, which is subtracted from those that turn (S, R)."""
+    keep, forced = np.isin(block.runs, rest), (block.forced_sensors, block.forced_bearings)
+    if (less := turns[:, None, block.runs]).any():
+        at = np.searchsorted(block.runs, first)[:, None, None]
+        forced = (values - np.take_along_axis(values, at, axis=2) * less for values in forced)
+    sensors, bearings = (values[..., keep] for values in forced)
     runs = np.searchsorted(rest, block.runs[keep])
-    return replace(block, runs=runs, forced_sensors=forced_s, forced_bearings=forced_b)
+    return replace(block, runs=runs, forced_sensors=sensors, forced_bearings=bearings)

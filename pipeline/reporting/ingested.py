@@ -15,7 +15,7 @@ from pipeline.data.operating import describe_points, list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.dataset import MeasuredRuns
 from pipeline.reporting.console import say, table
-from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records
+from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records, group_speeds
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
@@ -107,13 +107,13 @@ def describe_records(recordings: MeasuredConfig, data: VibrationDataset) -> Inge
     """A table of records; the figure has the vector of every record at each probe and speed."""
     counts = {"records": len(data.runs), "conditions": len(set(data.conditions or ()))}
     rows = []
-    for s, rpm in enumerate(to_rpm(data.speeds)):
-        record_rpm = to_rpm(data.frequencies[s])
+    for rpm, at in group_speeds(data.speeds, 1):
+        record_rpm = to_rpm(data.frequencies[at][data.present[at]])
         for p, (name, probe) in enumerate(recordings.probes.items()):
-            amplitude = 1e6 * np.abs(data.displacement[s, p])
+            amplitude = 1e6 * np.abs(data.displacement[at, p][data.present[at]])
             rows.append(
                 [
-                    f"{rpm:.1f}",
+                    rpm,
                     f"{record_rpm.min():.1f} to {record_rpm.max():.1f}",
                     name,
                     f"node {probe.node}, {np.degrees(probe.angle):g} deg",

@@ -5,7 +5,7 @@ With operating conditions the colour is that of the state, the dash that of the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,15 +184,22 @@ def pick_speeds(dataset: VibrationDataset) -> list[int]:
     return picked
 
 
+def group_speeds(speeds: np.ndarray, digits: int, most: int = 12) -> Iterator[tuple[str, np.ndarray]]:
+    """Ranges of ``speeds`` (S,) rad/s in rpm, such as ``708 to 950``, and their indices; each speed where few."""
+    for rows in np.array_split(np.arange(len(speeds)), min(most, len(speeds))):
+        yield " to ".join(dict.fromkeys(f"{rpm:.{digits}f}" for rpm in to_rpm(speeds[rows[[0, -1]]]))), rows
+
+
 def draw_records(path: Path, dataset: VibrationDataset, probes: Sequence[str]) -> Path:
     """The vector of every record in the complex plane, a panel a probe (along) and speed (down); S, P, R as above."""
     panels = []
-    for rpm, vectors in zip(to_rpm(dataset.speeds), MICROMETRES * dataset.displacement, strict=True):
+    for rpm, rows in group_speeds(dataset.speeds, 0):
+        vectors = MICROMETRES * dataset.displacement[rows].swapaxes(0, 1)[:, dataset.present[rows]]
         ends, middle = 1.1 * np.abs(vectors).max() * np.array([-1.0, 1.0]), np.zeros(2)
         cross = [Curve(x, y, "", GREY, width=0.8) for x, y in ((ends, middle), (middle, ends))]
         for name, seen in zip(probes, vectors, strict=True):
             axes = Axes([*cross, Curve(seen.real, seen.imag, "", BLUE, "none", "o", size=3)], "imaginary part (µm)")
-            panels.append(Panel(f"{name}, {rpm:.0f} rpm", "real part (µm)", [axes], equal=True))
+            panels.append(Panel(f"{name}, {rpm} rpm", "real part (µm)", [axes], equal=True))
     return write_figure(path, Figure("records", "", panels, columns=len(probes)))
 
 

@@ -294,7 +294,7 @@ def of_rest(measurement: Measurement) -> Iterator[Mistake]:
         constant = np.zeros((*shape, 2 * shape[1]), dtype=complex)
         for p in range(shape[1]):
             constant[:, p, :, 2 * p], constant[:, p, :, 2 * p + 1] = turning, 1j * turning
-        size = float(np.median(np.abs(data.displacement)))
+        size = float(np.median(np.abs(data.readings)))
         yield Mistake(
             "a vector that is the same at all speeds is in the readings: runout",
             "slow_roll, or fit identify.model_parameters.runout",

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import synchronous
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.vibration_files import read_measured, write_vibration
@@ -81,7 +82,6 @@ def test_blank_weights_are_kept_for_who_asks_for_them(tmp_path: Path) -> None:
     ("rows", "law"),
     [
         (ROWS + "trial,1,1001,0,30,1,2,0,0.5\n", "'trial.1' is there 2 times near 100"),
-        (ROWS + "trial,2,1001,0,30,1,2,0,0.5\n", "'trial.2' is there 0 times near 120"),
         (ROWS + "trial,2,1001,0,31,1,2,0,0.5\ntrial,2,1200,0,31,1,2,0,0.5\n", "same weights in all records"),
         (ROWS.replace(",1000,", ",-1000,"), "speeds above zero"),
         (ROWS.replace("0.1,0.2", ",0.2"), "the vector of every probe"),
@@ -92,9 +92,19 @@ def test_mistakes_in_the_table(tmp_path: Path, rows: str, law: str) -> None:
         to_dataset(configure(write(tmp_path / "a.csv", rows)).read_records())
 
 
-def test_a_run_up_is_no_table_of_records() -> None:
-    with pytest.raises(DataError, match="a run-up is no table of records"):
-        find_speeds(np.linspace(100.0, 200.0, 400))
+def test_a_record_may_be_at_some_speeds_alone(tmp_path: Path) -> None:
+    dataset = to_dataset(configure(write(tmp_path / "a.csv", ROWS + "trial,2,1003,0,30,3,4,0,0.7\n")).read_records())
+    assert dataset.present.tolist() == [[True] * 4, [True, True, True, False]]
+    conditions = gather_conditions(dataset)
+    assert conditions.displacement[1, 0, 0] == pytest.approx(25.4e-6 / 2 * (2 - 3j))
+    assert conditions.own_speeds[1] == pytest.approx(np.array([1002.0, 1201.0]) * np.pi / 30)
+
+
+def test_records_over_a_range_wider_than_a_nominal_speed_stand_each_for_itself() -> None:
+    close, wide = np.array([100.5, 100.0]), np.linspace(110.0, 220.0, 400)
+    speeds, group = find_speeds(np.concatenate([wide[::-1], close]))
+    assert speeds == pytest.approx([100.25, *wide])
+    assert group.tolist() == [*range(400, 0, -1), 0, 0]
 
 
 @pytest.mark.parametrize(
