@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.errors import DataError
-from pipeline.rotor.model import RotorModel, translation_dof
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel, translation_dof
 from pipeline.units import RAD_S_PER_RPM
 
 DIRECTIONS = {"x": 0.0, "y": 90.0}
@@ -143,12 +143,28 @@ class VibrationDataset:
             matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = project_direction(angle)
         return matrix
 
+    def shares(self, node: int, angle: float) -> np.ndarray:
+        """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it
+        is that probe, otherwise x and y of the ``node``.
+        """
+        probe = node, round(angle, 9) % 360.0
+        both = {(node, axis): share for axis, share in zip(DIRECTIONS.values(), project_direction(angle), strict=True)}
+        result = np.zeros(len(self.channels))
+        for channel, share in ({probe: 1.0} if probe in self.channels else both).items():
+            result[self.channels.index(channel)] = share
+        return result
+
     def project(self, node: int, angle: float) -> np.ndarray:
-        """(S, R) complex, m: what a probe in the direction ``angle`` (degrees) sees of a ``node`` known in x and y."""
-        places = [self.channels.index((node, of)) for of in DIRECTIONS.values()]
-        return np.asarray(
-            sum(share * self.displacement[:, p] for p, share in zip(places, project_direction(angle), strict=True))
-        )
+        """(S, R) complex, m: what a probe in the direction ``angle`` (degrees) sees; see :meth:`shares`."""
+        seen = [share * self.displacement[:, p] for p, share in enumerate(self.shares(node, angle)) if share]
+        return np.asarray(sum(seen))
+
+    @property
+    def orbits(self) -> dict[int, np.ndarray]:
+        """Node -> (S, 2, R) complex, m: x and y of every node whose probes tell both."""
+        dof, resolution = self.resolution()
+        pairs = [i for i, x in enumerate(dof[:-1]) if x % DOF_PER_NODE == 0 and dof[i + 1] == x + 1]
+        return {int(dof[i]) // DOF_PER_NODE: resolution[[i, i + 1]] @ self.displacement for i in pairs}
 
     def resolution(self, span: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
         """Which lateral DOF the channels determine by themselves, (D,), and how, (D, P): ``q = resolution @ channels``.

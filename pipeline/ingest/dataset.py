@@ -1,7 +1,8 @@
 """From the 1X vectors of probes to displacements in x and y, and what excited them.
 
-Probes at any mounting angle show v_i = x cos a_i + y sin a_i at each node, solved by least squares. How much the sweep
-of a run-up biases the peak that its vectors show: the rate from the tacho, the bias from the model.
+Probes at any mounting angle show v_i = x cos a_i + y sin a_i at each node, solved by least squares; those of one
+direction stay as they are. How much the sweep of a run-up biases the peak that its vectors show: the rate from the
+tacho, the bias from the model.
 
 Legend: S speeds, P probes, R runs, N nodes.
 """
@@ -19,7 +20,8 @@ from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
-from pipeline.errors import ConfigError, DataError
+from pipeline.data.sensors import list_directions, name_channel
+from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
@@ -61,7 +63,6 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
 
     Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
     """
-    check_probes(config.probes)
     runs = config.read()
     notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     for run in runs:
@@ -107,6 +108,12 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         "their angles, polarity and scale"
         for node, misfit in misfits.items()
         if misfit > contradiction
+    ]
+    notes += [
+        f"the probes at node {node} look along one line: check their angles, or let stage=diagnose say what one "
+        "direction leaves open"
+        for node in dict.fromkeys(node for node, _ in channels)
+        if not set(list_directions((node,))) <= set(channels)
     ]
     return MeasuredRuns(dataset, recorded, runs, _join_alike(notes), sweeps)
 
@@ -168,51 +175,39 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
         )
 
 
-def check_probes(probes: Mapping[str, ProbeConfig], least_spread: float = np.radians(10.0)) -> None:
-    """Raise ConfigError for a node at which x and y can't be told apart.
-
-    Probes that are nearer to one line than ``least_spread`` (rad) amplify their errors by more than eight.
-    """
-    for node in sorted({probe.node for probe in probes.values()}):
-        here = {name: probe for name, probe in probes.items() if probe.node == node}
-        if len(here) == 1:
-            raise ConfigError(
-                f"machine.recordings.probes must have two probes at a node to give x and y, but node {node} has one "
-                f"only: '{next(iter(here))}'; add the other, or leave the node out"
-            )
-        angles = np.array([probe.angle for probe in here.values()])
-        if np.abs(np.sin(angles[:, None] - angles)).max() < np.sin(least_spread):
-            text = ", ".join(f"'{name}' at {np.degrees(probe.angle):g} deg" for name, probe in here.items())
-            raise ConfigError(
-                f"machine.recordings.probes must span the plane at each node, but those of node {node} lie within "
-                f"{np.degrees(least_spread):g} deg of one line: {text}"
-            )
-
-
 def resolve(
-    probes: Mapping[str, ProbeConfig], vectors: np.ndarray
+    probes: Mapping[str, ProbeConfig], vectors: np.ndarray, least_spread: float = np.radians(10.0)
 ) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
-    """x and y at every node, of the ``vectors`` (S, P, R) of the probes in this order; see :func:`check_probes`.
+    """What the probes tell of every node, of their ``vectors`` (S, P, R) in this order.
+
+    Probes that are nearer to one line than ``least_spread`` (rad) would amplify their errors by more than eight in x
+    and y: they stay as they are.
 
     Returns:
-        2 N channels (node, angle in degrees) of x and y; their displacement (S, 2 N, R), complex, m; by node the root
-        mean square of what the probes contradict each other over that of their vectors, 0 for two probes.
+        Q channels (node, angle in degrees): x and y of a node, or its probes' directions; their displacement (S, Q, R),
+        complex, m; by node the root mean square of what the probes contradict each other over that of their vectors, 0
+        where no probe is more than what tells its node.
     """
-    nodes = sorted({probe.node for probe in probes.values()})
     place = np.array([probe.node for probe in probes.values()])
     angles = np.array([probe.angle for probe in probes.values()])
+    channels: list[tuple[int, float]] = []
     parts, misfit = [], {}
-    for node in nodes:
+    for node in np.unique(place).tolist():
         here = np.flatnonzero(place == node)
-        matrix = np.stack([np.cos(angles[here]), np.sin(angles[here])], axis=1)
+        matrix, directions = np.stack([np.cos(angles[here]), np.sin(angles[here])], axis=1), [*DIRECTIONS.values()]
+        if np.abs(np.sin(angles[here, None] - angles[here])).max() < np.sin(least_spread):
+            named = [name_channel(node, angle)[1] for angle in angles[here]]
+            directions = sorted(set(named))
+            matrix = np.equal.outer(named, directions).astype(float)
         seen = vectors[:, here]
         solved = np.einsum("dp,spr->sdr", np.linalg.pinv(matrix), seen)
         rest = seen - np.einsum("pd,sdr->spr", matrix, solved)
         size = np.sqrt((np.abs(seen) ** 2).mean())
-        misfit[node] = float(np.sqrt((np.abs(rest) ** 2).mean()) / size) if size > 0 and len(here) > 2 else 0.0
+        exact = size == 0 or len(here) == len(directions)
+        misfit[node] = 0.0 if exact else float(np.sqrt((np.abs(rest) ** 2).mean()) / size)
+        channels += [(node, direction) for direction in directions]
         parts.append(solved)
-    channels = tuple((node, angle) for node in nodes for angle in DIRECTIONS.values())
-    return channels, np.concatenate(parts, axis=1), misfit
+    return tuple(channels), np.concatenate(parts, axis=1), misfit
 
 
 def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import ProbeConfig
 from pipeline.config.quantities import middle
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.dataset import VibrationDataset
 from pipeline.data.simulate import solve_response
 from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
@@ -67,16 +67,14 @@ def require_clearance(dataset: VibrationDataset, stated: Mapping[int, Mapping[st
 
 def note_whirl(dataset: VibrationDataset) -> list[str]:
     """A sentence for each run of unbalances whose orbits turn backward at most speeds: an unbalance turns forward."""
-    notes = []
-    nodes = sorted({node for node, _ in dataset.channels})
+    notes, orbits = [], np.array([*dataset.orbits.values()]).reshape(-1, len(dataset.speeds), 2, len(dataset.runs))
     for r, run in enumerate(dataset.runs):
         kinds = {excitation.kind for excitation in dataset.excitations if excitation.run == run}
         if kinds != {"unbalance"}:
             continue
-        places = np.array([[dataset.channels.index((node, d)) for node in nodes] for d in DIRECTIONS.values()])
-        x, y = (dataset.displacement[:, place, r] for place in places)
+        x, y = orbits[..., r].transpose(2, 0, 1)
         backward = np.abs(x - 1j * y) > np.abs(x + 1j * y)
-        if backward.mean() > 0.5:
+        if backward.sum() > 0.5 * backward.size:
             notes.append(
                 f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
                 "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "

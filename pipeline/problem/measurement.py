@@ -280,10 +280,10 @@ class Measurement:
 
 def _less_first(block: ResponseBlock, first: np.ndarray, turns: np.ndarray, rest: np.ndarray) -> ResponseBlock:
     """The block without the run ``first`` (S,) of each point, which is subtracted from those that turn (S, R)."""
-    keep, forced = np.isin(block.runs, rest), (block.forced_sensors, block.forced_bearings)
+    keep, forced = np.isin(block.runs, rest), [block.forced_sensors, block.forced_bearings]
     if (less := turns[:, None, block.runs]).any():
         at = np.searchsorted(block.runs, first)[:, None, None]
-        forced = (values - np.take_along_axis(values, at, axis=2) * less for values in forced)
+        forced = [values - np.take_along_axis(values, at, axis=2) * less for values in forced]
     sensors, bearings = (values[..., keep] for values in forced)
     runs = np.searchsorted(rest, block.runs[keep])
     return replace(block, runs=runs, forced_sensors=sensors, forced_bearings=bearings)

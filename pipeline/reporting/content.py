@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.schema import Config
-from pipeline.data.dataset import VibrationDataset, name_direction, project_direction
+from pipeline.data.dataset import VibrationDataset, name_direction
 from pipeline.data.operating import find_nearest, name_state
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import to_rpm
@@ -149,10 +149,8 @@ class ReportContent:
             return tuple(View(name_channel(seen), *seen, unit) for seen, unit in zip(data.channels, units, strict=True))
         listed = []
         for name, probe in recordings.probes.items():
-            weights, angle = np.zeros(len(data.channels)), float(np.degrees(probe.angle))
-            for cosine, direction in zip(project_direction(angle), (0.0, 90.0), strict=True):
-                weights[data.channels.index((probe.node, direction))] = cosine
-            listed.append(View(name, probe.node, angle, weights))
+            angle = float(np.degrees(probe.angle))
+            listed.append(View(name, probe.node, angle, data.shares(probe.node, angle)))
         return tuple(listed)
 
     @cached_property

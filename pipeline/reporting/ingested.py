@@ -58,7 +58,11 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
     def draw(figure: Callable[[str], Path]) -> list[Path]:
         return [
             draw_bode(figure("ingest_bode"), recorded, recordings.baseline, places),
-            draw_measured_orbits(figure("ingest_orbits"), recorded, recordings.baseline),
+            *(
+                [draw_measured_orbits(figure("ingest_orbits"), recorded, recordings.baseline)]
+                if recorded.orbits
+                else []
+            ),
         ]
 
     rpm = to_rpm(recorded.speeds)

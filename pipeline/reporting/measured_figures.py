@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import name_state
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
@@ -104,7 +104,7 @@ def draw_bode(
 ) -> Path:
     """Bode plots of every probe and run.
 
-    ``probes`` are node and angle (degrees) by name; the ``dataset`` has x and y of their nodes.
+    ``probes`` are node and angle (degrees) by name; the ``dataset`` has them, or x and y of their nodes.
     """
     seen = {f"{name}: node {node}, {angle:g}°": dataset.project(node, angle) for name, (node, angle) in probes.items()}
     traces = list_traces(dataset, dict(enumerate(choose_looks(dataset.runs, baseline))))
@@ -159,16 +159,12 @@ def _draw_orbit(vector: np.ndarray, look: dict[str, Any], reach: float) -> list[
 
 
 def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | None) -> Path:
-    """Orbits of every node at several speeds, that of the largest amplitude among them; a dot at the pulse.
+    """Orbits of every node seen in x and y at several speeds, that of the largest amplitude among them.
 
-    An arrow shows the sense in which each is run through; the rotor turns counterclockwise.
+    A dot stands at the pulse, an arrow shows the sense in which each is run through; the rotor turns counterclockwise.
     """
-    nodes = {
-        node: dataset.displacement[:, [dataset.channels.index((node, angle)) for angle in DIRECTIONS.values()]]
-        for node in sorted({node for node, _ in dataset.channels})
-    }
     picked = pick_speeds(dataset)
-    panels = draw_orbit_panels(dataset, nodes, picked, dict(enumerate(choose_looks(dataset.runs, baseline))))
+    panels = draw_orbit_panels(dataset, dataset.orbits, picked, dict(enumerate(choose_looks(dataset.runs, baseline))))
     return write_figure(path, Figure("orbits", ORBITS, panels, columns=len(picked)))
 
 

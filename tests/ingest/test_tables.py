@@ -12,7 +12,7 @@ import pytest
 from conftest import refused
 from damaged import put
 from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, table_config, wide
-from reading import DISC, GRID, ONE, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
+from reading import DISC, GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
 from test_motion import PAIR
 
 from pipeline.data.coefficient_files import read_known
@@ -20,7 +20,6 @@ from pipeline.data.csv_format import CsvConfig
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import write_vibration
-from pipeline.errors import ConfigError
 
 
 def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path) -> None:
@@ -274,16 +273,28 @@ def test_lengths_that_are_a_thousand_times_too_large(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("probes", "words"),
+    ("probes", "angles"),
     [
-        ({"A": (0, 45.0), "C": (2, 0.0), "D": (2, 90.0)}, "node 0 has one only: 'A'"),
-        ({"A": (0, 0.0), "B": (0, 180.0)}, "lie within 10 deg of one line: 'A' at 0 deg, 'B' at 180 deg"),
-        ({"A": (0, 40.0), "B": (0, 45.0)}, "those of node 0 lie within 10 deg of one line"),
+        ({"A": (0, 45.0), "C": (2, 0.0), "D": (2, 90.0)}, [45.0]),
+        ({"A": (0, 0.0), "B": (0, 180.0), "C": (2, 0.0), "D": (2, 90.0)}, [0.0, 180.0]),
+        ({"A": (0, -40.0), "B": (0, 325.0), "E": (0, -35.0), "C": (2, 0.0), "D": (2, 90.0)}, [320.0, 325.0]),
     ],
 )
-def test_probes_that_do_not_give_x_and_y(probes: dict[str, Any], words: str) -> None:
-    with refused(words, kind=ConfigError):
-        read(table_config([ONE], probes=probes_config(probes, **PAIR)))
+def test_probes_that_do_not_give_x_and_y_stay_as_they_are(
+    probes: dict[str, Any], angles: list[float], tmp_path: Path
+) -> None:
+    """Two of the same direction are averaged; x and y of the other node are as before."""
+    runs = wide_runs(tmp_path)
+    for run in runs:
+        wide(seen(TURNS[run["name"]], probes=probes)).to_csv(run["file"], index=False)
+    section = table_config(runs, probes=probes_config(probes, **PAIR))
+    dataset, turn = read(section), TURNS["one"]
+    assert dataset.channels == (*((0, angle) for angle in angles), (2, 0.0), (2, 90.0))
+    for p, (node, angle) in enumerate(dataset.channels):
+        expected = seen(turn, probes={"A": (node, angle)}).of["A"]
+        np.testing.assert_allclose(dataset.displacement[:, p, 0], expected, rtol=1e-6)
+    assert "the probes at node 0 look along one line" in notes(section)
+    assert "the probes at node 2 look" not in notes(section)
 
 
 def test_three_probes_at_a_node(tmp_path: Path) -> None:

@@ -246,15 +246,11 @@ def _space_evenly(vectors: np.ndarray) -> np.ndarray:
 def _draw_orbits(content: ReportContent) -> list[Figure]:
     """Orbits of the bearings' nodes at a few speeds; nothing where no node was seen in x and y."""
     data = content.dataset
-    dof, resolution = data.resolution()
-    seen = [int(d) // 4 for d in dof if d % 4 == 0 and d + 1 in dof]
+    seen = data.orbits
     nodes = [node for node in content.measurement.rotor.bearing_nodes if node in seen] or sorted(seen)
     if not nodes:
         return []
-    places = {
-        node: resolution[[int(np.flatnonzero(dof == 4 * node + d)[0]) for d in range(2)]] @ data.displacement
-        for node in nodes[:2]
-    }
+    places = {node: seen[node] for node in nodes[:2]}
     picked = pick_speeds(data)[: 4 if len(nodes) <= 2 else 2]
     return [Figure("orbits", ORBITS, draw_orbit_panels(data, places, picked, content.looks))]
 
