@@ -22,7 +22,7 @@ from pipeline.config.quantities import (
     ShaftAngle,
     WeightMagnitude,
 )
-from pipeline.config.runs import ForceConfig, SpeedsConfig, UnbalanceConfig
+from pipeline.config.runs import ForceConfig, Measures, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 
 if TYPE_CHECKING:
@@ -86,11 +86,13 @@ class ProbeConfig(Section):
     """A probe: its node of the rotor, and its angle from x towards y, which is the sense of rotation.
 
     ``scale`` is its sensitivity, where numbers are voltages. ``mounted`` is what moves the probe of a velocity or an
-    acceleration: the shaft (a shaft rider, a laser), or the casing beside a bearing.
+    acceleration: the shaft (a shaft rider, a laser), or the casing beside a bearing. ``measures`` is what it shows at a
+    bearing that has a support, whose casing moves.
     """
 
     node: NonNegativeInt
     angle: ShaftAngle
+    measures: Measures = "shaft"
     scale: Sensitivity | None = None
     mounted: Literal["shaft", "casing"] | None = None
 

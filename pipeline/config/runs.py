@@ -100,11 +100,16 @@ class NoiseConfig(Section):
             yield "must have an additive or a multiplicative part above zero, but both are zero"
 
 
+Measures = Literal["shaft", "casing", "shaft relative to casing"]
+"""What a probe shows at the node of a bearing that has a support."""
+
+
 class ProbeConfig(Section):
     """A displacement probe at a node; its angle is measured from x towards y (two at 45 and 135 degrees are usual)."""
 
     node: NonNegativeInt
     angle: Angle
+    measures: Measures = "shaft"
 
 
 class ProbesConfig(Section):

@@ -136,11 +136,12 @@ class VibrationDataset:
         """What acts in the run of this index, without its name: equal for runs that repeat each other."""
         return tuple(replace(excitation, run="") for excitation in self.excitations if excitation.run == self.runs[run])
 
-    def sensor_matrix(self, n_dof: int) -> np.ndarray:
+    def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        matrix = np.zeros((len(self.channels), n_dof))
+        matrix = np.zeros((len(self.channels), rotor.n_dof))
         for p, (node, angle) in enumerate(self.channels):
-            matrix[p, translation_dof(node, 0)], matrix[p, translation_dof(node, 1)] = project_direction(angle)
+            for seen, sign in rotor.views(node):
+                matrix[p, translation_dof(seen, 0) + np.arange(2)] = sign * np.array(project_direction(angle))
         return matrix
 
     def shares(self, node: int, angle: float) -> np.ndarray:

@@ -71,11 +71,15 @@ def show_everywhere(
     excitations: tuple[Excitation, ...],
     own_frequencies: np.ndarray | None = None,
 ) -> VibrationDataset:
-    """x and y at every node, of a ``response`` (S, n, R) in m and rad."""
+    """x and y at every node that a probe may have, of a ``response`` (S, n, R) in m and rad."""
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
-    channels = tuple((node, angle) for node in range(rotor.n_places) for angle in DIRECTIONS.values())
-    measured = [translation_dof(node, direction) for node in range(rotor.n_places) for direction in range(TRANSLATIONS)]
-    shown = response[:, measured]
+    channels = tuple((node, angle) for node in range(rotor.n_views) for angle in DIRECTIONS.values())
+    both = np.arange(TRANSLATIONS)
+    seen = [
+        sum(sign * response[:, translation_dof(place, 0) + both] for place, sign in rotor.views(node))
+        for node in range(rotor.n_views)
+    ]
+    shown = np.concatenate(seen, axis=1)
     return VibrationDataset(
         bearings.speeds, runs, channels, shown, excitations, own_frequencies, operating=bearings.operating
     )

@@ -126,7 +126,7 @@ def read_dataset(
     Raises DataError with the law that a file breaks; see :func:`pipeline.data.tables.read_table` for those of
     the tables themselves.
     """
-    dataset = read_measured(vibration, excitation, baseline, rotor.n_places, same)
+    dataset = read_measured(vibration, excitation, baseline, rotor.n_places, same, len(rotor.casings))
     require_made_for(vibration, rotor)
     return dataset
 
@@ -142,10 +142,10 @@ def require_made_for(vibration: Path, rotor: RotorModel) -> None:
         )
 
 
-def require_nodes_of(dataset: VibrationDataset, n_nodes: int, vibration: Path, excitation: Path) -> None:
-    """Raise DataError for a node of either file that a rotor of ``n_nodes`` lacks."""
-    used = {vibration: [node for node, _ in dataset.channels], excitation: [e.node for e in dataset.excitations]}
-    for path, nodes in used.items():
+def require_nodes_of(dataset: VibrationDataset, rotor: RotorModel, vibration: Path, excitation: Path) -> None:
+    """Raise DataError for a node of either file that the ``rotor`` lacks."""
+    read, acting = [node for node, _ in dataset.channels], [e.node for e in dataset.excitations]
+    for path, nodes, n_nodes in ((vibration, read, rotor.n_views), (excitation, acting, rotor.n_places)):
         for node in nodes:
             if node >= n_nodes:
                 raise DataError(f"'{path}' must use the rotor's nodes 0 to {n_nodes - 1}, but got node {node}")
@@ -157,16 +157,18 @@ def read_measured(
     baseline: str | None = None,
     n_nodes: int | None = None,
     same: Mapping[str, float] | None = None,
+    n_casings: int = 0,
 ) -> VibrationDataset:
     """Read both files as :func:`read_dataset` does, where at most the number of the rotor's nodes is known.
 
+    Of the ``n_nodes`` so many are casings, for each of which a probe may have one number more, of the shaft less it.
     Operating conditions that differ by no more than ``same`` says (SI, by name) are taken for one, their mean.
     """
     optional = {_FREQUENCY: "number or blank", _CONDITION: "text"}
     table, operating = read_with_conditions(vibration, _VIBRATION, optional)
     require_complete(operating, vibration, table)
     excitations = read_excitations(excitation, n_nodes)
-    nodes = read_nodes(table["node"], vibration, n_nodes)
+    nodes = read_nodes(table["node"], vibration, n_nodes and n_nodes + n_casings)
     angles = _read_angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
     if (rpm <= 0).any():

@@ -30,7 +30,7 @@ def note_size(
     shape = (len(rotor.bearing_nodes), len(dataset.speeds), len(COEFFICIENTS))
     bearings = BearingTable(rotor.bearing_nodes, dataset.speeds, np.broadcast_to(values, shape))
     response = solve_response(rotor, bearings, dataset.excitations, dataset.runs, dataset.frequencies)
-    modelled = np.abs(dataset.sensor_matrix(rotor.n_dof) @ response)
+    modelled = np.abs(dataset.sensor_matrix(rotor) @ response)
     measured, far = np.abs(dataset.displacement), dict[str, float]()
     for r, run in enumerate(dataset.runs):
         both = (modelled[..., r] > 0) & (measured[..., r] > 0)
@@ -114,14 +114,17 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float 
     return notes
 
 
-def note_casing(probes: Mapping[str, ProbeConfig], nodes: Sequence[int]) -> list[str]:
-    """A sentence for the probes on a casing. Raises ConfigError for one that is at none of the bearing ``nodes``."""
-    casing = {name: probe.node for name, probe in probes.items() if probe.mounted == "casing"}
+def note_casing(probes: Mapping[str, ProbeConfig], nodes: Sequence[int], n_nodes: int) -> list[str]:
+    """A sentence for the probes on a casing that is none of the model's, which follow the shaft's ``n_nodes``.
+
+    Raises ConfigError for one that is at none of the bearing ``nodes``.
+    """
+    casing = {name: p.node for name, p in probes.items() if p.mounted == "casing" and p.node < n_nodes}
     for name, node in casing.items():
         if node not in nodes:
             raise ConfigError(
                 f"machine.recordings.probes.{name} must be at a bearing ({', '.join(map(str, nodes))}) where it "
-                f"has mounted: casing, but it is at node {node}: no casing is in the model, leave the probe out"
+                f"has mounted: casing, but it is at node {node}: no casing is in the model there, leave the probe out"
             )
     if not casing:
         return []

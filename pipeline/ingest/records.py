@@ -123,7 +123,7 @@ class RecordsConfig(MeasuredConfig):
             if getattr(self, key):
                 yield f"must have no {key} for a table of records, but it has one: leave it out"
         yield from self.check_units(self.conventions.unit)
-        places = [(probe.node, probe.angle) for probe in self.probes.values()]
+        places = [(probe.node, probe.angle, probe.measures) for probe in self.probes.values()]
         if len(set(places)) != len(places):
             yield "must give every probe a place of its own (node and angle), but two have the same"
         nodes = [weight.node for weight in self.weights]

@@ -28,7 +28,7 @@ from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters, usual_deviations, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probe, require_nodes
 
 
 def load_known(
@@ -176,8 +176,7 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
     if spec.at == "bearings":
         channels = list_directions(rotor.bearing_nodes)
     elif spec.at != "all":
-        require_nodes(rotor, "machine.probes.at", [probe.node for probe in spec.at])
-        channels = tuple(name_channel(probe.node, probe.angle) for probe in spec.at)
+        channels = tuple(name_channel(place_probe(rotor, "machine.probes.at", probe), probe.angle) for probe in spec.at)
     return Sensors(
         channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation, spec.slow_roll_readings
     )

@@ -142,7 +142,7 @@ def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, d
             if parameter.kind == "bearing_position"
             else dataset.channels[parameter.place][0]
         )
-        place = float(rotor.positions[node])
+        place = float(rotor.view_positions[node])
         room = (
             max(place - first, last - place) if parameter.kind == "probe_position" else min(place - first, last - place)
         )
@@ -166,7 +166,8 @@ def _list_places(
     ]
     discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
     probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
-    on_shaft = [probe for probe in probes if dataset.channels[probe[1]][0] < rotor.n_nodes]
+    on_casing = range(rotor.n_nodes, rotor.n_places)
+    on_shaft = [probe for probe in probes if dataset.channels[probe[1]][0] not in on_casing]
     casings = [(node, rotor.n_nodes + i) for i, node in enumerate(rotor.casings)]
     supports = [(f"node {node} {axis}", casing, axis) for node, casing in casings for axis in DIRECTIONS]
     shown = dataset.subtracted is None and turns_with_rotor(dataset).any()
@@ -210,7 +211,7 @@ def sensor_matrix(
     dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray
 ) -> np.ndarray:
     """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
-    matrix = dataset.sensor_matrix(rotor.n_dof)
+    matrix = dataset.sensor_matrix(rotor)
     for p in {parameter.place for parameter in parameters if parameter.kind in OF_PROBE}:
         matrix[p] = _channel(dataset, p, rotor, _probe(parameters, values, p))
     return matrix

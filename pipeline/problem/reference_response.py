@@ -123,7 +123,7 @@ def response_equations(
     force that turns with the shaft in every run that does.
     """
     reference = stiffness * (1 + 1j * REFERENCE_LOSS)
-    seen = dataset.sensor_matrix(rotor.n_dof) if sensors is None else sensors
+    seen = dataset.sensor_matrix(rotor) if sensors is None else sensors
     solved = _solved(rotor, dataset, reference, planes, bow)
     blocks = tuple(
         _split(runs, w, n_planes, _show(rotor, response), seen @ response) for runs, w, n_planes, response in solved

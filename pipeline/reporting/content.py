@@ -29,6 +29,7 @@ from pipeline.reporting.blocks import Mark
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import place_probe
 from pipeline.twin.at_conditions import pick_middle, say_beyond
 from pipeline.twin.twin import Twin
 
@@ -150,7 +151,8 @@ class ReportContent:
         listed = []
         for name, probe in recordings.probes.items():
             angle = float(np.degrees(probe.angle))
-            listed.append(View(name, probe.node, angle, data.shares(probe.node, angle)))
+            node = place_probe(self.measurement.rotor, f"machine.recordings.probes.{name}", probe)
+            listed.append(View(name, node, angle, data.shares(node, angle)))
         return tuple(listed)
 
     @cached_property

@@ -21,7 +21,9 @@ def shaft_rows(rotor: RotorModel, node: int, shift: float, slope: bool = False) 
 
     Beyond its ends the shaft goes on straight. At a node itself the slope is that of the element that follows.
     """
-    rows = np.zeros((TRANSLATIONS, rotor.n_dof))
+    views, rows = rotor.views(node), np.zeros((TRANSLATIONS, rotor.n_dof))
+    if len(views) > 1:
+        return np.asarray(sum(sign * shaft_rows(rotor, seen, shift, slope) for seen, sign in views))
     if node >= rotor.n_nodes:  # a casing, which has no length
         rows[:, translation_dof(node, 0) + np.arange(TRANSLATIONS)] = 0.0 if slope else np.eye(TRANSLATIONS)
         return rows

@@ -45,8 +45,23 @@ class RotorModel:
 
     @property
     def n_places(self) -> int:
-        """Nodes of the shaft and casings: all that probes may stand at."""
+        """Nodes of the shaft and casings: all that moves."""
         return self.n_dof // DOF_PER_NODE
+
+    @property
+    def n_views(self) -> int:
+        """Nodes that probes may have: those that move, and for each casing the shaft's motion less it."""
+        return self.n_places + len(self.casings)
+
+    def views(self, node: int) -> tuple[tuple[int, float], ...]:
+        """The moving nodes that a probe with this ``node`` shows, and their signs."""
+        i = node - self.n_places
+        return ((node, 1.0),) if i < 0 else ((self.casings[i], 1.0), (self.n_nodes + i, -1.0))
+
+    @property
+    def view_positions(self) -> np.ndarray:
+        """m, along the shaft, of each node that a probe may have."""
+        return self.positions[[*range(self.n_nodes), *self.casings, *self.casings]]
 
     @property
     def n_dof(self) -> int:

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,11 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
 from pipeline.rotor.soft_ground import put_on_supports
 
+if TYPE_CHECKING:
+    from pipeline.config import runs
+    from pipeline.config.measured import AnyRecordingsConfig, ProbeConfig
+
+Recordings = TypeVar("Recordings", bound="AnyRecordingsConfig")
 KIND = "rotors"
 _BEARINGS = "bearings"
 _CODE = ("ross_adapter", "supports", "bearings")
@@ -127,3 +132,32 @@ def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
     for node in nodes:
         if node >= rotor.n_places:
             raise ConfigError(f"{key} must use nodes 0 to {rotor.n_places - 1} of the rotor, but got node {node}")
+
+
+def place_probe(rotor: RotorModel, key: str, probe: ProbeConfig | runs.ProbeConfig) -> int:
+    """The node that a probe of the configuration has in the data, see :meth:`pipeline.rotor.model.RotorModel.views`.
+
+    Raises ConfigError for a node that the rotor lacks, and for a casing where the bearing stands on the ground.
+    """
+    require_nodes(rotor, key, [probe.node])
+    if probe.measures == "shaft":
+        return probe.node
+    if probe.node not in rotor.casings:
+        raise ConfigError(
+            f"{key} must measure the casing where machine.rotor.supports has one "
+            f"({', '.join(map(str, rotor.casings)) or 'nowhere'}), but got node {probe.node} with measures: "
+            f"{probe.measures}; state the support, or leave measures out"
+        )
+    first = rotor.n_nodes if probe.measures == "casing" else rotor.n_places
+    return first + rotor.casings.index(probe.node)
+
+
+def place_probes(rotor: RotorModel, recordings: Recordings) -> Recordings:
+    """The recordings whose probes have their nodes in the data. Raises as :func:`place_probe`."""
+    placed = {
+        name: probe.model_copy(
+            update={"node": place_probe(rotor, f"machine.recordings.probes.{name}", probe), "measures": "shaft"}
+        )
+        for name, probe in recordings.probes.items()
+    }
+    return recordings.model_copy(update={"probes": placed})

@@ -14,7 +14,7 @@ from pipeline.problem.configured import load_known
 from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor, require_nodes
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes, require_nodes
 from pipeline.stages.analysis import Analysis, Workspace, require_own
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.own_data import write_data
@@ -34,7 +34,7 @@ def run(analysis: Analysis) -> StageOutput:
             "what was recorded (stage=new new.data=recordings machine.file=FILE writes one; docs/ingest.md)"
         )
     rotor = load_rotor(config.machine.rotor)
-    require_nodes(rotor, "machine.recordings.probes", [probe.node for probe in recordings.probes.values()])
+    recordings = place_probes(rotor, recordings)
     if recordings.planes:
         require_nodes(rotor, "machine.recordings.weights", recordings.planes)
         ingested = describe_records(recordings, to_dataset(recordings.read_records()))
@@ -87,6 +87,10 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
         for node in rotor.bearing_nodes
     }
     require_clearance(measured.recorded, stated)
-    notes = [*note_casing(recordings.probes, rotor.bearing_nodes), *measured.notes, *note_whirl(measured.recorded)]
+    notes = [
+        *note_casing(recordings.probes, rotor.bearing_nodes, rotor.n_nodes),
+        *measured.notes,
+        *note_whirl(measured.recorded),
+    ]
     notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

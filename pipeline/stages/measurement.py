@@ -42,7 +42,7 @@ def load_measurement(config: Config) -> Measurement:
         rotor = load_rotor(section)
     else:  # which says itself how many nodes there are, and where the bearings stand
         rotor = load_rotor(section)
-        require_nodes_of(dataset, rotor.n_places, files.vibration, files.excitation)
+        require_nodes_of(dataset, rotor, files.vibration, files.excitation)
         known = _read_known(config, files, rotor.bearing_nodes, dataset)
     require_made_for(files.vibration, rotor)
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
@@ -59,7 +59,7 @@ def load_dataset(config: Config) -> VibrationDataset:
     # Conditions of the experiment's own files were joined when they were written.
     same = None if files.own else config.data.same_conditions
     n_nodes = section.n_nodes if section.file is None else None
-    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same)
+    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same, len(section.supports))
 
 
 def _require_data(config: Config, *beside: Path) -> None:

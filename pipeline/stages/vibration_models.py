@@ -16,6 +16,7 @@ from pipeline.data.conditions import Conditions, gather_conditions
 from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.records import Records
 from pipeline.reporting.console import say, warn
+from pipeline.rotor.stored import load_rotor, place_probes
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import load_dataset, prepare, restore
 
@@ -52,7 +53,7 @@ def load_records(config: Config, file: str, key: str) -> Records:
             f"{key} must be a table like that of machine.recordings with format records, but this machine's format is "
             f"{recordings.format}: leave it out"
         )
-    return recordings.read_records(file)
+    return place_probes(load_rotor(config.machine.rotor), recordings).read_records(file)
 
 
 def list_missing(records: Records) -> Sequence[str]:

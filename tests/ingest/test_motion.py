@@ -208,10 +208,10 @@ def test_the_motion_of_a_casing_is_warned_of_at_a_bearing_and_refused_elsewhere(
             probes=probes_config(**ON, **PAIR),
         )
     ).probes
-    (words,) = note_casing(probes, (0, 2))
+    (words,) = note_casing(probes, (0, 2), 6)
     assert "probes on the casing (A, B, C, D) are taken for the shaft's motion" in words
     with refused("machine.recordings.probes.C must be at a bearing (0, 5)", "it is at node 2", kind=ConfigError):
-        note_casing(probes, (0, 5))
+        note_casing(probes, (0, 5), 6)
 
 
 def test_the_gram_is_no_unit_here() -> None:

@@ -127,7 +127,7 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     impedance = truth.impedance()[:, 0]
     lines = 2 * np.pi * np.array([35.0, 60.0, 85.0, 110.0])
     channels = list_directions(rotor.bearing_nodes)
-    sensors = VibrationDataset(np.array([speed]), (), channels, np.zeros((1, 4, 0)), ()).sensor_matrix(rotor.n_dof)
+    sensors = VibrationDataset(np.array([speed]), (), channels, np.zeros((1, 4, 0)), ()).sensor_matrix(rotor)
     runs, columns, acting, frequencies = [], [], [], []
     for direction in (0, 1):
         record = _blown(rotor, impedance, speed, 2, direction) @ sensors.T  # (T, P)

@@ -9,6 +9,7 @@ import torch
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
+from pipeline.config.runs import ProbeConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel, project
 from pipeline.data.simulate import add_noise, simulate
@@ -23,7 +24,7 @@ from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
-from pipeline.rotor.stored import load_rotor
+from pipeline.rotor.stored import load_rotor, place_probe
 from pipeline.twin.modes import find_modes
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
@@ -64,15 +65,22 @@ def films(speeds: np.ndarray = SPEEDS) -> BearingTable:
     return BearingTable(NODES, speeds, np.array([np.tile(FILMS[node], (len(speeds), 1)) for node in NODES]))
 
 
-def readings(rotor: RotorModel, casings: bool) -> VibrationDataset:
-    """x and y at the bearings, and at their casings."""
-    nodes = (*NODES, *(range(rotor.n_nodes, rotor.n_places) if casings else ()))
+SHAFT, CASING, FILM = range(3)
+"""What probes measure: the shaft, the casing, the shaft relative to the casing."""
+
+
+def readings(rotor: RotorModel, measures: tuple[int, ...]) -> VibrationDataset:
+    """x and y of what is measured at both bearings."""
+    every = (NODES, range(rotor.n_nodes, rotor.n_places), range(rotor.n_places, rotor.n_views))
+    nodes = [node for what in measures for node in every[what]]
     return project(simulate(rotor, films(), WEIGHTS), tuple((n, angle) for n in nodes for angle in DIRECTIONS.values()))
 
 
-def measured(casings: bool = True, noise: NoiseModel | None = None, seed: int = 0) -> Measurement:
+def measured(
+    measures: tuple[int, ...] = (SHAFT, CASING), noise: NoiseModel | None = None, seed: int = 0
+) -> Measurement:
     """All eight coefficients and all numbers of the supports unknown; readings are exact without ``noise``."""
-    data, stated = readings(load_rotor(config()), casings), load_rotor(config(off=True))
+    data, stated = readings(load_rotor(config()), measures), load_rotor(config(off=True))
     if noise:
         data = add_noise(data, noise.deviation(data.displacement), np.random.default_rng(seed))
     unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(COEFFICIENTS)))
@@ -104,7 +112,9 @@ def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     force = np.zeros(len(lateral), dtype=complex)
     force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
     solved = np.linalg.solve(dynamic, force)
-    expected = solved[[lateral.index(p + d) for p in places for d in (0, 1)]]
+    moving = solved[[lateral.index(p + d) for p in places for d in (0, 1)]]
+    at_bearings = moving[[2 * node + d for node in nodes for d in (0, 1)]]
+    expected = np.concatenate([moving, at_bearings - moving[18:]])
     read = simulate(rotor, films(), WEIGHTS[:1]).displacement[7, :, 0]
     assert np.abs(read - expected).max() <= 1e-10 * np.abs(expected).max()
     nothing, inverse = np.zeros_like(mass), np.linalg.inv(mass)
@@ -115,7 +125,7 @@ def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
 
 def test_readings_far_from_where_the_rotor_was_solved_are_exact_and_so_are_their_derivatives() -> None:
     """Against the rotor solved anew, and central differences; to first order both ways of deriving agree."""
-    measurement = measured()
+    measurement = measured((SHAFT, CASING, FILM))
     model, none = sensor_model(measurement), torch.zeros(1, 0, dtype=torch.complex128)
     values = torch.as_tensor(measurement.unknowns.to_active(measurement.unknowns.leading(films().values)))[None]
     theta = torch.as_tensor(0.8 * np.cos(1.7 * np.arange(12)))[None]
@@ -136,17 +146,21 @@ def test_readings_far_from_where_the_rotor_was_solved_are_exact_and_so_are_their
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("noise", "which", "film", "support"),
-    [(None, slice(None), 1e-8, 1e-8), (NoiseModel(5e-8, 0.01), [0, 3, 4, 7], 0.01, 0.02)],
-    ids=["exact", "noisy"],
+    ("measures", "noise", "which", "film", "support"),
+    [
+        ((SHAFT, CASING), None, slice(None), 1e-8, 1e-8),
+        ((FILM, CASING), None, slice(None), 1e-8, 1e-8),
+        ((SHAFT, CASING), NoiseModel(5e-8, 0.01), [0, 3, 4, 7], 0.01, 0.02),
+    ],
+    ids=["exact", "relative", "noisy"],
 )
 def test_casing_probes_tell_bearings_and_supports(
-    noise: NoiseModel | None, which: slice | list[int], film: float, support: float
+    measures: tuple[int, ...], noise: NoiseModel | None, which: slice | list[int], film: float, support: float
 ) -> None:
     """From supports that are stated up to twice off: exact readings give all coefficients and supports back to 1e-6 %,
     readings of 1 % and 0.05 um direct coefficients within 1 % and supports within 2 %.
     """
-    off, supports, deviation = errors(fit(measured(noise=noise), default_setup(Guess(1e7, 1e4), constant=True)))
+    off, supports, deviation = errors(fit(measured(measures, noise), default_setup(Guess(1e7, 1e4), constant=True)))
     assert np.abs(off[:, which]).max() < film
     assert np.abs(supports).max() < support
     assert (np.abs(supports) < 3.5 * deviation).all()
@@ -156,7 +170,7 @@ def test_casing_probes_tell_bearings_and_supports(
 def test_the_diagnosis_names_what_shaft_probes_leave_open_and_casing_probes_tell() -> None:
     """With casing probes all numbers are told to a tenth of what is stated."""
     setup, noise = default_setup(Guess(1e7, 1e4), constant=True), NoiseModel(5e-8, 0.01)
-    every = [combine(measured(casings, noise), setup) for casings in (False, True)]
+    every = [combine(measured(measures, noise), setup) for measures in ((SHAFT,), (SHAFT, CASING))]
     shaft, both = (found.parameters for found in every if found)
     assert set(both) == {parameter.name for parameter in measured().parameters}
     assert max(both.values()) < (0.1, 0.1)
@@ -169,6 +183,12 @@ def test_what_supports_cannot_do_is_refused() -> None:
         ConfigError, match=r"must have bearing nodes without a support \(1, 6\), each once, but has 6, 6"
     ):
         load_rotor(config((6, 6)))
+    probe = ProbeConfig(node=1, angle=0.0, measures="shaft relative to casing")
+    assert [place_probe(load_rotor(config(nodes)), "at", probe) for nodes in (NODES, (1,))] == [11, 10]
+    with pytest.raises(
+        ConfigError, match=r"at must measure the casing where .* has one \(6\), but got node 1 with measu"
+    ):
+        place_probe(load_rotor(config((6,))), "at", probe)
     with pytest.raises(DataError, match=r"that of node 1 has a support"):
         _ = measured().equations
     soft = measured()

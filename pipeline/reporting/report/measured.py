@@ -66,12 +66,12 @@ def describe_machine(content: ReportContent) -> list[Block]:
 
 def _draw_sketch(content: ReportContent) -> Figure:
     rotor, data = content.measurement.rotor, content.dataset
-    x, bearings, (curves, shaft) = rotor.positions, list(rotor.bearing_nodes), _draw_bodies(content)
+    x, bearings, (curves, shaft) = rotor.view_positions, list(rotor.bearing_nodes), _draw_bodies(content)
     beside = shaft + 0.14
     probes = sorted({probe.node for probe in content.probes}) if len(content.probes) < 2 * rotor.n_nodes else []
     acting = {kind: sorted({e.node for e in data.excitations if e.kind == kind}) for kind in ("unbalance", "force")}
     marks: tuple[tuple[list[int], float, str, str, str, dict[str, Any]], ...] = (
-        (list(range(len(x))), 0.0, "node", BLACK, "o", {"full": True, "size": 2.5}),
+        (list(range(rotor.n_nodes)), 0.0, "node", BLACK, "o", {"full": True, "size": 2.5}),
         (bearings, -beside, "bearing", BLUE, "^", {}),
         (bearings, beside, "", BLUE, "v", {}),
         (bearings, -1.32, "", BLUE, "", {"texts": [f"node {node}" for node in bearings]}),
@@ -117,7 +117,7 @@ def _draw_box(start: float, stop: float, halves: tuple[float, float], label: str
 
 
 def _list_probes(content: ReportContent) -> Table:
-    positions = content.measurement.rotor.positions
+    positions = content.measurement.rotor.view_positions
     rows = [
         [p.name, f"{p.node}", write_number(1e3 * float(positions[p.node])), f"{p.angle:g}"]
         for p in content.shown_probes
