@@ -124,7 +124,7 @@ def define_source() -> Any:
             SafeConstructor.__init__(self)
             Resolver.__init__(self)
 
-    parse = cache(lambda text: yaml.load(text, Loader))
+    parse = cache(lambda text: Loader(text).get_single_data())  # of safe tags, as OmegaConf has them
 
     class Source(FileConfigSource):
         @staticmethod
