@@ -174,7 +174,7 @@ def _identify_files(groups: Sequence[str]) -> str:
     """The identity of chosen groups, and of all that they can be composed of."""
     from hydra.core.config_store import ConfigStore
 
-    files = [(str(path), path.read_bytes()) for path in sorted(CONF.rglob("*.yaml"))]
+    files = [(str(path), path.read_bytes()) for path in sorted(CONF.rglob("*.yaml")) if path.is_file()]
     stored = [(group, inside) for group, inside in ConfigStore.instance().repo.items() if (CONF / group).is_dir()]
     return hashlib.sha256(repr([groups, files, stored]).encode()).hexdigest()
 
