@@ -31,8 +31,9 @@ def options(*overrides: str) -> MethodOptions:
     return MethodOptions(config.comparison, config.seed, machine(*overrides).laws)
 
 
+@cache
 def answer(method: str, case: Case, *overrides: str) -> Estimate:
-    """What a method makes of it."""
+    """What a method makes of it, once for all tests that ask."""
     return METHODS[method].identify(task(case, *overrides), options(*overrides))
 
 

@@ -128,8 +128,7 @@ def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> N
     first = compare(own, RUNS[:1], tmp_path, nothing)
     path = tmp_path / name_file(*RUNS[0])
     path.write_text(damage)
-    again = compare(own, RUNS[:1], tmp_path, nothing)
-    assert again[0].coefficients == first[0].coefficients
+    assert compare(own, RUNS[:1], tmp_path, nothing)[0].coefficients == first[0].coefficients
     assert json.loads(path.read_text())["fingerprint"] == hash_inputs(own)
 
 
@@ -258,8 +257,7 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
     """What total least squares takes for the noise of A and y, against differences."""
     own = task(Case(0.01, "bearings", 12), *FEW)
     derivative = bearing_rows(own.rotor, own.dataset, own.unknowns)  # (S, R, 2 B, U, P)
-    zero = own.table(np.zeros((2, 12, 2)))
-    offset = residual_sensitivity(own.rotor, own.dataset, zero)
+    offset = residual_sensitivity(own.rotor, own.dataset, own.table(np.zeros((2, 12, 2))))
     step = np.zeros_like(own.dataset.displacement)
     step[:, 2, 1] = 1e-6 * (1 + 2j)
     moved = replace(own.dataset, displacement=own.dataset.displacement + step)

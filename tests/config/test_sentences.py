@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config.compose import compose_config, compose_mapping, validate
+from pipeline.config.loader import CONF, define_source
 from pipeline.errors import ConfigError
 
 
@@ -190,14 +191,41 @@ def test_a_wrong_item_does_not_make_its_list_too_short(changes: dict[str, Any]) 
     )
 
 
-def test_a_broken_file_in_conf_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("defaults: [_self_]\nseed: [1\n")
-    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path)
-    with pytest.raises(ConfigError, match=r"config\.yaml"):
-        compose_config([])
-    monkeypatch.setattr("pipeline.config.loader.CONF", tmp_path / "nothing")
-    with pytest.raises(ConfigError, match="conf/ must lie beside the package"):
-        compose_config([])
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("seed: [1", r"config\.yaml"),
+        ("seed: 1\nseed: 2", r'duplicate key seed\s+in ".*config\.yaml", line 3, column 1'),
+        ("seed: ${", "Hydra says"),
+    ],
+)
+def test_a_broken_file_in_conf_is_named(line: str, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(f"defaults: [_self_]\n{line}\n")
+    for folder, says in ((tmp_path, words), (tmp_path / "nothing", "conf/ must lie beside the package")):
+        monkeypatch.setattr("pipeline.config.loader.CONF", folder)
+        with pytest.raises(ConfigError, match=says):
+            compose_config([])
+
+
+def test_libyaml_reads_what_omegaconf_reads(tmp_path: Path) -> None:
+    """Every file of conf/, and texts that YAML has several readings of."""
+    from omegaconf import OmegaConf
+
+    scalars = "[1e5, 1E-3, 1., .5e+1, 1_000, 017, 0x1F, 1:30, yes, off, ~, 2026-11-27, -.inf, '1e5', é, a: 1]"
+    text = f"# @package _global_\na: &x {scalars}\nb: {{<<: {{c: *x}}, 3: d}}\ne: |-\n  f\n"
+    (tmp_path / "scalars.yaml").write_text(text, encoding="utf-8")
+    for folder in (CONF, tmp_path):
+        source = define_source()("main", f"conf://{folder}")
+        for path in folder.rglob("*.yaml"):
+            read = source.load_config(str(path.relative_to(folder))).config
+            assert str(OmegaConf.to_container(read)) == str(OmegaConf.to_container(OmegaConf.load(path))), path
+
+
+@pytest.mark.parametrize("experiment", ["measured_demo", "oil_temperatures", "realistic"])
+def test_the_short_way_composes_what_hydra_composes(experiment: str) -> None:
+    """An override of Hydra's own part asks for the whole of its work."""
+    given = [f"experiment={experiment}", "+machine.note=x", "~report", "optimizer.adam.steps=3"]
+    assert compose_mapping(given) == compose_mapping([*given, "hydra.verbose=false"])
 
 
 @pytest.mark.slow

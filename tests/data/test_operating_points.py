@@ -211,8 +211,7 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
 
 
 def table_at(speeds: np.ndarray, operating: dict[str, np.ndarray]) -> BearingTable:
-    values = np.random.default_rng(1).normal(size=(2, len(speeds), 8))
-    return BearingTable((1, 5), speeds, values, operating)
+    return BearingTable((1, 5), speeds, np.random.default_rng(1).normal(size=(2, len(speeds), 8)), operating)
 
 
 def test_coefficients_there_and_back_by_speed_and_conditions(tmp_path: Path) -> None:

@@ -126,8 +126,7 @@ def test_apdl(exported: Exported) -> None:
 
 
 def test_apdl_of_one_speed_has_constants(exported: Exported) -> None:
-    one = replace(exported, table=exported.table.at(np.array([2])))
-    tables, constants, _ = interpret(write_apdl(one, 0))
+    tables, constants, _ = interpret(write_apdl(replace(exported, table=exported.table.at(np.array([2]))), 0))
     assert not tables
     order = [0, 3, 1, 2, 4, 7, 5, 6]
     found = np.array([float(word) for word in constants]) * scale(exported)

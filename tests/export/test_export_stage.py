@@ -41,8 +41,7 @@ def made(
 
     folder = tmp_path_factory.mktemp("made") / request.param
     shutil.copytree(Artifacts(ARTIFACTS)(request.param, "training.json", "model.safetensors"), folder)
-    config = run("export", [f"experiment={request.param}"], folder)
-    answer = restore(Analysis(config))
+    answer = restore(Analysis(run("export", [f"experiment={request.param}"], folder)))
     return folder / "export", answer.measurement, answer.table
 
 

@@ -57,7 +57,6 @@ def test_where_the_functions_suffice_the_deviations_hardly_change() -> None:
     before, after = np.diag(fit.covariance()), np.diag(fit.error().matrix[np.ix_(own, own)])
     kept = fit.problem.fitted().numpy()
     ratio = np.sqrt(after[kept] / before[kept])
-    print(ratio.round(3))
     assert ratio.min() >= 1.0
     assert np.median(ratio) < 1.02
     assert np.allclose(after[~kept], before[~kept])

@@ -29,8 +29,7 @@ FAR = (1.0, 1.0, 3.0, 0.4)
 
 @cache
 def fitted(kind: str, wrong: bool = False) -> Fit:
-    laws = laws_of(SHORT if wrong else LUND, FAR)
-    return fit(measure(bearings_at(RPM, WARM), laws), setup(kind))
+    return fit(measure(bearings_at(RPM, WARM), laws_of(SHORT if wrong else LUND, FAR)), setup(kind))
 
 
 def percent(found: Fit, celsius: float) -> np.ndarray:
@@ -107,8 +106,7 @@ def test_derivatives_are_those_of_the_rows() -> None:
     problem, weights = _problem(measure(bearings_at(RPM[:3], WARM[:2]), laws_of(LUND, FAR)))
     slope, step = dense_jacobian(problem, weights), 1e-6
     gradient, matrix = problem.normal(weights)
-    rows = problem.rows(weights)[0, 0]
-    torch.testing.assert_close(slope.T @ rows, gradient[0, 0], rtol=1e-8, atol=1e-6)
+    torch.testing.assert_close(slope.T @ problem.rows(weights)[0, 0], gradient[0, 0], rtol=1e-8, atol=1e-6)
     torch.testing.assert_close(slope.T @ slope, matrix[0, 0], rtol=1e-8, atol=1e-4)
     for z in range(problem.places.n_coefficients - 2, problem.size):
         moved = torch.zeros_like(weights)

@@ -41,7 +41,6 @@ def test_the_error_of_a_hundred_data_sets_is_that_of_the_bound(experiment: str, 
     assert study["data_sets"] == 100
     ratios = flat(study["coefficients"], "rmse_over_bound")
     held = flat(study["coefficients"], "within_95_percent_interval")
-    print(experiment, ratios, held)
     assert max(ratios.values()) <= 1.2
     assert min(held.values()) >= 90
     assert max(held.values()) <= 98
@@ -50,7 +49,6 @@ def test_the_error_of_a_hundred_data_sets_is_that_of_the_bound(experiment: str, 
 @pytest.mark.parametrize("experiment", BARS)
 def test_a_typical_data_set_reaches_the_bar(experiment: str, artifacts: Artifacts) -> None:
     errors = flat(artifacts.read(experiment, "robustness")["coefficients"], "median_error_percent")
-    print(experiment, errors)
     assert max(errors.values()) <= BARS[experiment]
 
 
@@ -114,7 +112,6 @@ def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:
         truth = np.stack([one.modelled.values[m, :, [0, 3][u]] for m, u in fits[0].problem.active], axis=1)
         errors.append(np.sqrt(np.median((found / truth - 1) ** 2, axis=(0, 1))))
     slopes = np.polyfit(np.log(noises), np.log(np.array(errors)), 1)[0]
-    print(slopes, errors)
     np.testing.assert_allclose(slopes, 1.0, atol=0.15)
 
 

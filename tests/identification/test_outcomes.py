@@ -278,7 +278,6 @@ def test_an_end_at_the_precision_of_the_data_is_converged(
     assert found.outcome is Outcome.CONVERGED
     monkeypatch.setattr(ResidualProblem, "scatter", lambda problem: 0.0)
     longer = fit(measured, setup)
-    print(digits, found.steps, longer.steps, found.loss, longer.loss)
     assert longer.outcome is Outcome.BUDGET_SPENT
     assert found.steps < longer.steps / 1.5
     assert found.loss < 1.2 * longer.loss

@@ -180,7 +180,6 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
     assert fit.start.from_guess
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
     found = worst(whole, fit)
-    print(100 * found)
     assert found < 0.01
 
 

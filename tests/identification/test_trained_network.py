@@ -124,7 +124,6 @@ def test_intervals_hold_on_ten_data_sets() -> None:
         stated = ~np.isnan(band)
         held.append((off[stated] <= 1.96 * band[stated]).mean())
         errors.append(np.median(off[stated]) / np.median(other[stated]))
-    print(np.mean(held), np.median(errors))
     assert 0.87 <= np.mean(held) <= 1.0
     assert np.median(errors) <= 1.5
 

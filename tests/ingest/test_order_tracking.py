@@ -71,8 +71,7 @@ class Shaft:
     def recorded(self, noise: float, rng: np.random.Generator, edge: float = 8.0) -> Signals:
         """The signals, and the angle that their tacho gives."""
         pulses = find_pulses(self.time, self.tacho(rng, edge), "rising", None, None, "the record")
-        angle = fit_angle(pulses[0], 1, "the record")
-        return Signals(self.time, self.signals(noise, rng), angle, "the record")
+        return Signals(self.time, self.signals(noise, rng), fit_angle(pulses[0], 1, "the record"), "the record")
 
 
 def errors(
@@ -190,8 +189,7 @@ def test_two_x_does_not_leak_where_it_is_fitted(rng: np.random.Generator) -> Non
 
 def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     rate, t = 5000.0, np.arange(5000 * 30) / 5000.0
-    rpm = np.interp(t, [0, 10, 20, 30], [900.0, 1500.0, 1500.0, 2100.0])
-    phi = np.cumsum(rpm) * RPM / rate
+    phi = np.cumsum(np.interp(t, [0, 10, 20, 30], [900.0, 1500.0, 1500.0, 2100.0])) * RPM / rate
     true = 10e-6 * np.exp(-0.7j)
     turn = np.mod(phi / (2 * np.pi) + 0.5, 1) - 0.5
     tacho = np.clip(0.5 + turn / 0.01, 0, 1) - np.clip(0.5 + (turn - 0.1) / 0.01, 0, 1)
@@ -298,10 +296,8 @@ def test_what_can_not_be_tracked_is_refused(case: str, rng: np.random.Generator)
 
 def test_the_speeds_that_a_record_covers(rng: np.random.Generator) -> None:
     """A window of eight revolutions must fit: its end speeds follow from constant acceleration."""
-    shaft = Shaft(5000.0, 600.0, 6000.0, 60.0)
-    low, high = find_range(shaft.recorded(0.0, rng), Settings())
-    first = (600**2 + 2 * 90 * 60 * 4) ** 0.5
-    assert low / RPM == pytest.approx(first, rel=0.02)
+    low, high = find_range(Shaft(5000.0, 600.0, 6000.0, 60.0).recorded(0.0, rng), Settings())
+    assert low / RPM == pytest.approx((600**2 + 2 * 90 * 60 * 4) ** 0.5, rel=0.02)
     assert high / RPM == pytest.approx(6000 - 90 * 60 * 4 / 6000, rel=1e-3)
 
 

@@ -27,7 +27,6 @@ def test_the_papers_set_up_does_not_converge(artifacts: Artifacts) -> None:
     """Adam on the residual of all eight coefficients: errors of tens of percent, whatever the coefficient."""
     metrics = artifacts.read("all_coefficients_paper", "metrics")["coefficients"]
     medians = {f"node {n} {name}": e["median_error_percent"] for n, of in metrics.items() for name, e in of.items()}
-    print(medians)
     assert min(medians.values()) > 15
 
 
@@ -35,8 +34,6 @@ NEGATIVE = "compressor_journal_and_isotropic"
 
 
 def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, run: Run, tmp_path: Path) -> None:
-    told = artifacts.read(NEGATIVE, "diagnosis")["bearings"]
-    print(told)
     data = ("vibration.parquet", "excitation.csv", "known_coefficients.csv")
     artifacts.copied(NEGATIVE, data, tmp_path / NEGATIVE)
     with pytest.raises(IdentifiabilityError, match=r"bearing at node 8: not identifiable, .*4 of 8 .*rank 1 of 2"):
@@ -49,6 +46,5 @@ def test_a_backward_run_cures_the_compressor(run: Run, tmp_path: Path) -> None:
     run("evaluate", [f"experiment={NEGATIVE}", backward], tmp_path / NEGATIVE)
     metrics = json.loads((tmp_path / NEGATIVE / "metrics.json").read_text())["coefficients"]
     medians = {f"node {n} {key}": e["median_error_percent"] for n, of in metrics.items() for key, e in of.items()}
-    print(medians)
     assert len(medians) == 10
     assert max(medians.values()) <= 0.05

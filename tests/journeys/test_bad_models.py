@@ -198,8 +198,7 @@ def test_a_model_trained_on_other_data_is_refused(run: Run, base: Config, mine: 
     for stage in ("evaluate", "predict"):
         with left_alone(mine), refused("must belong to the data at hand", ": run stage=train"):
             run(stage, other, mine)
-    config = run("train", other, mine)
-    restore(Analysis(config))
+    restore(Analysis(run("train", other, mine)))
 
 
 @pytest.mark.parametrize(

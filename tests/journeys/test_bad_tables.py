@@ -104,8 +104,7 @@ LAWS = [
 def test_a_table_that_breaks_a_law(key: str, ending: str, law: Law, refused_by_train: Refused, mine: Path) -> None:
     """Whatever is wrong with the numbers, the sentence says the law and what came, for both formats."""
     words, change, came = law
-    path = stored(change(loaded(mine / FILES[key])), mine / f"theirs.{ending}")
-    refused_by_train({key: path}, words, came)
+    refused_by_train({key: stored(change(loaded(mine / FILES[key])), mine / f"theirs.{ending}")}, words, came)
 
 
 UNPHYSICAL: dict[str, Change] = {

@@ -23,8 +23,7 @@ def checking(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Check
     monkeypatch.setattr(check, "THRESHOLDS", thresholds)
 
     def act(rules: str | bytes, metrics: str | None, *overrides: str, name: str = "rig") -> int:
-        raw = rules if isinstance(rules, bytes) else rules.encode()
-        (thresholds / f"{name}.yaml").write_bytes(raw)
+        (thresholds / f"{name}.yaml").write_bytes(rules if isinstance(rules, bytes) else rules.encode())
         folder = tmp_path / "artifacts" / name
         folder.mkdir(parents=True, exist_ok=True)
         if metrics is not None:
@@ -114,8 +113,7 @@ def test_what_changed_since_the_commit_is_shown_first(
 ) -> None:
     """Committed are all metrics that hold; then those that moved by more than a tenth stand above the whole table."""
     assert checking(RULE, GOOD, "check.commit=true") == 0
-    committed = tmp_path / "thresholds" / "committed.csv"
-    assert len(committed.read_text().splitlines()) == 3
+    assert len((tmp_path / "thresholds" / "committed.csv").read_text().splitlines()) == 3
     assert checking(RULE, GOOD) == 0
     assert "changed by more than" not in capsys.readouterr().out
     assert checking(RULE, GOOD.replace("0.5", "0.56")) == 0

@@ -270,13 +270,11 @@ def test_the_stages_of_an_experiment_share_its_folder(runs: list[Config]) -> Non
 
 
 def test_values_that_are_no_file_names_get_folders_of_their_own(runs: list[Config]) -> None:
-    lengths = "machine.rotor.shaft.0.length=150 mm,150/mm,'150:mm'"
-    jobs, fixed = expand_sweeps([lengths, "seed=3"])
+    jobs, fixed = expand_sweeps(["machine.rotor.shaft.0.length=150 mm,150/mm,'150:mm'", "seed=3"])
     folders = [Job(True, fixed, len(jobs)).folder("out", job) for job in jobs]
     assert len(set(folders)) == len(jobs) == 3
     assert all(Path(folder).parent == Path("out") and " " not in folder for folder in folders)
-    long = Job(True).folder("out", ["data.vibration=" + "x" * 300])
-    assert len(Path(long).name) < 255
+    assert len(Path(Job(True).folder("out", ["data.vibration=" + "x" * 300])).name) < 255
 
 
 @pytest.mark.slow

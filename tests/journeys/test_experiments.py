@@ -185,7 +185,6 @@ def test_check_passes_on_what_the_graph_made(
     """`stage=check`: no committed threshold is passed. This is what fails CI when accuracy gets worse."""
     run("check", ["experiment=ball_bearing"], judged / "ball_bearing")  # SystemExit(1) otherwise
     said = capsys.readouterr().out
-    print(said)
     assert "metrics hold" in said
     assert "FAILED" not in said
     assert all(experiment in said for experiment in THRESHOLDS)
@@ -220,7 +219,6 @@ def test_check_names_an_experiment_that_was_made_worse(
         run("check", ["experiment=ball_bearing"], judged / "ball_bearing")
     said = capsys.readouterr()
     changed = said.out.split("metrics against thresholds")[0]
-    print(changed)
     assert stop.value.code == 1
     assert all(text in changed for text in ("changed by more than 10 %", "hydrostatic_stiffness", "FAILED"))
     assert all(line.startswith("warning: hydrostatic_stiffness: ") for line in said.err.splitlines())

@@ -128,8 +128,7 @@ def test_data_of_other_programs_are_not_generated(config: Config, monkeypatch: p
 @pytest.mark.slow
 def test_a_machine_file_needs_no_guesses_and_no_plans(tmp_path: Path) -> None:
     """Without prediction and candidates: those of the first run's weights. A rotor of ROSS brings its bearings."""
-    path = machine_file(tmp_path, prediction=None, candidates=None)
-    bare = composed(given_by(path), "tracking=none").machine
+    bare = composed(given_by(machine_file(tmp_path, prediction=None, candidates=None)), "tracking=none").machine
     assert [one.node for one in bare.prediction.unbalances] == [one.node for one in bare.runs[0].unbalances]
     assert bare.candidates.unbalance_nodes == (2, 4)
     saved = machine_file(tmp_path, "saved.yaml", rotor={"file": str(EXAMPLE / "rotor.toml")}, bearings=None)

@@ -38,7 +38,6 @@ def test_a_table_is_what_was_measured_once(page: str, name: str) -> None:
 def test_a_table_is_what_the_graph_made(page: str, name: str) -> None:
     """To one in the last digit; `make tables` writes the others."""
     filled = fill(TEMPLATES[name], ARTIFACTS)
-    print(filled)
     assert find_differences(read_tables(page)[name], filled) == []
 
 

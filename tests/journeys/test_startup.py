@@ -274,8 +274,7 @@ def test_a_table_is_read_back_to_the_same_bits(
     """Texts, numbers and blanks, from CSV and Parquet."""
     columns = {name: [row[i] for row in rows] for i, name in enumerate([*KINDS, *OPTIONAL])}
     columns["frequency_hz"] = [np.nan if value is None else value for value in columns["frequency_hz"]]
-    path = write_table(tmp_path_factory.mktemp("table") / f"x.{ending}", columns)
-    read = read_table(path, KINDS, OPTIONAL)
+    read = read_table(write_table(tmp_path_factory.mktemp("table") / f"x.{ending}", columns), KINDS, OPTIONAL)
     for name, values in columns.items():
         assert read[name].tolist() == values or read[name].tobytes() == np.array(values).tobytes()
 

@@ -206,15 +206,13 @@ def to_x_and_y(data: VibrationDataset) -> np.ndarray:
 
 def test_speeds_in_hz_called_rpm(tmp_path: Path) -> None:
     """25 to 100 Hz as 25 to 100 rpm: the weights push 3600 times less, so the readings are far too large."""
-    data = replace(truth().dataset, speeds=truth().dataset.speeds / 60)
-    (said,) = note_size(data, rotor(), 1e7, 5e3)
+    (said,) = note_size(replace(truth().dataset, speeds=truth().dataset.speeds / 60), rotor(), 1e7, 5e3)
     assert "times larger than the rotor's" in said
 
 
 def test_a_run_that_is_missing(tmp_path: Path) -> None:
     long({"one": seen()}, CONVENTIONS).to_csv(tmp_path / "all.csv", index=False)
-    runs = [RUNS[0], RUNS[0] | {"name": "two"}]
-    config = table_config(runs, layout="long", file=str(tmp_path / "all.csv"))
+    config = table_config([RUNS[0], RUNS[0] | {"name": "two"}], layout="long", file=str(tmp_path / "all.csv"))
     with refused("two", kind=PipelineError):
         read(config)
 

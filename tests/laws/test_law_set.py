@@ -126,8 +126,7 @@ def test_a_turned_bearing_is_the_same_in_turned_axes() -> None:
     straight, turned = known(laws(LUND))[0], known(laws({**LUND, "load_angle": "30 deg"}))[0]
     cos, sin = np.cos(np.pi / 6), np.sin(np.pi / 6)
     turn = np.array([[cos, -sin], [sin, cos]])
-    blocks = turn @ straight.reshape(7, 2, 2, 2) @ turn.T
-    np.testing.assert_allclose(turned, blocks.reshape(7, 8), rtol=1e-9)
+    np.testing.assert_allclose(turned, (turn @ straight.reshape(7, 2, 2, 2) @ turn.T).reshape(7, 8), rtol=1e-9)
     quarter = known(laws({**LUND, "load_angle": "90 deg"}))[0]
     np.testing.assert_allclose(quarter[:, [3, 2, 1, 0]], straight[:, :4] * [1, -1, -1, 1], rtol=1e-9, atol=1e-3)
 

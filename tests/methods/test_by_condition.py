@@ -61,9 +61,7 @@ def test_a_case_of_few_speeds_has_them_at_each_condition() -> None:
     whole = machine(*FILM)
     count = len(whole.vibration.speeds)
     at = {"oil_temperature": np.repeat([COLD, WARM], count)}
-    speeds = np.tile(whole.vibration.speeds, 2)
-    twice = replace(whole.vibration, speeds=speeds, operating=at)
-    two = replace(whole, vibration=twice)
+    two = replace(whole, vibration=replace(whole.vibration, speeds=np.tile(whole.vibration.speeds, 2), operating=at))
     assert two.n_speeds == count
     one = whole.speeds(CASE)
     np.testing.assert_array_equal(two.speeds(CASE), np.concatenate([one, one + count]))

@@ -160,8 +160,7 @@ def test_the_answers_of_a_search_are_mixed(answer: tuple[Any, Any]) -> None:
     searched = answer[0].start.searched
     best = np.diag(np.linspace(0.1, 1.0, searched.covariance.shape[-1])) * 1e-3
     assert np.linalg.eigvalsh(searched.mix(best)).min() > 0
-    alone = replace(searched, shares=np.eye(len(searched.shares))[0])
-    np.testing.assert_array_equal(alone.mix(best), best)
+    np.testing.assert_array_equal(replace(searched, shares=np.eye(len(searched.shares))[0]).mix(best), best)
     shares = np.zeros(len(searched.shares))
     shares[:2] = 0.94, 0.06
     other = (searched.weights[1] - searched.weights[0])[0].numpy()

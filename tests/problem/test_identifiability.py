@@ -141,8 +141,7 @@ def test_asynchronous_forward_runs_do_what_a_backward_one_does(rotor_of: Machine
 
 def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine) -> None:
     """Adding the combination that the account names to the true coefficients leaves the residual at zero."""
-    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
-    equations, system = equations_of(rotor_of, table, UNBALANCES)
+    equations, system = equations_of(rotor_of, table_of(rotor_of, ANISOTROPIC, ISOTROPIC), UNBALANCES)
     account = judge_identifiability(equations, system, constant=False)[0]
     length = np.linalg.norm(system.matrix[0], axis=1)
     size = np.linalg.norm(equations.free_residual[0], axis=(1, 2))[:, None]

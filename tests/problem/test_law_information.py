@@ -87,8 +87,7 @@ def test_what_is_free_are_viscosity_load_and_clearance_together() -> None:
     ]
     (shares,) = found.free
     direction = np.array([3.0, 1.0, 1.0, 1.0, 1.0]) / np.sqrt(13.0)  # the oil is that of both
-    got = [shares[one.name] for one in found.parameters]
-    np.testing.assert_allclose(got, direction, atol=1e-3)
+    np.testing.assert_allclose([shares[one.name] for one in found.parameters], direction, atol=1e-3)
 
 
 def test_combinations_that_are_free_are_told_apart() -> None:

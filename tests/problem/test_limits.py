@@ -21,7 +21,6 @@ def test_the_table_that_ross_evaluates_is_not_its_closed_form(machine: MachineFa
     element = ross_rotor(config.machine.rotor, config.machine.bearings, made.speeds).bearing_elements[0]
     used = {name: made.bearings.coefficient(name)[0] for name in ("kxx", "kyy", "cxx", "cyy")}
     off = {name: 100 * np.abs(values / np.array(getattr(element, name)) - 1).mean() for name, values in used.items()}
-    print(off)
     assert off == pytest.approx({"kxx": 8.6e-6, "kyy": 1.28e-5, "cxx": 4.85e-4, "cyy": 3.41e-4}, rel=0.01)
 
 
@@ -38,5 +37,4 @@ def test_single_precision_is_not_enough(experiment: str, median: float, high: fl
     found, _ = per_speed_least_squares(linear_residual(equations, unknowns, made.bearings))
     off = 100 * np.abs(found / made.bearings.values - 1)
     reached = np.median(off, axis=1).max(), np.quantile(off, 0.95, axis=1).max()
-    print(experiment, reached)
     assert reached == pytest.approx((median, high), rel=0.1)

@@ -111,8 +111,7 @@ def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     dynamic = stiffness + 1j * w * damping - w**2 * mass
     force = np.zeros(len(lateral), dtype=complex)
     force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
-    solved = np.linalg.solve(dynamic, force)
-    moving = solved[[lateral.index(p + d) for p in places for d in (0, 1)]]
+    moving = np.linalg.solve(dynamic, force)[[lateral.index(p + d) for p in places for d in (0, 1)]]
     at_bearings = moving[[2 * node + d for node in nodes for d in (0, 1)]]
     expected = np.concatenate([moving, at_bearings - moving[18:]])
     read = simulate(rotor, films(), WEIGHTS[:1]).displacement[7, :, 0]

@@ -40,8 +40,7 @@ def test_a_film_carries_its_load_along_minus_y() -> None:
     size = {"bearing_length": 0.03, "journal_diameter": 0.1, "radial_clearance": clearance, "oil_viscosity": 0.1}
 
     def place(weight: float) -> np.ndarray:
-        element = ross().CylindricalBearing(n=0, speed=np.array([speed]), weight=weight, **size)
-        (e,) = element.eccentricity
+        (e,) = ross().CylindricalBearing(n=0, speed=np.array([speed]), weight=weight, **size).eccentricity
         attitude = np.arctan(np.pi * np.sqrt(1 - e**2) / (4 * e))
         return np.array([clearance * e * np.sin(attitude), -clearance * e * np.cos(attitude)])
 
@@ -72,12 +71,10 @@ def test_x_is_the_load_axis_of_a_published_table() -> None:
 
 def test_a_weight_turns_from_x_towards_y(rotor: RotorModel) -> None:
     """Far below the critical speeds the shaft bends to where the weight is: at its phase at t = 0, then on."""
-    speeds = np.array([10.0])
-    bearings = bearings_of(rotor.bearing_nodes, speeds, kxx=1e8, kyy=1e8)
+    bearings = bearings_of(rotor.bearing_nodes, np.array([10.0]), kxx=1e8, kyy=1e8)
     weight = Excitation("run", "unbalance", 3, 1e-3, np.radians(30.0))
     at = [translation_dof(3, direction) for direction in range(2)]
-    motion = solve_response(rotor, bearings, (weight,), ("run",))[0, at, 0]
-    _, path = sample_motion(motion, 10.0)
+    _, path = sample_motion(solve_response(rotor, bearings, (weight,), ("run",))[0, at, 0], 10.0)
     angles = np.degrees(np.unwrap(np.arctan2(path[:, 1], path[:, 0])))
     assert angles[0] == pytest.approx(30.0, abs=0.01)
     assert angles[-1] == pytest.approx(30.0 + 720.0, abs=0.01)

@@ -247,8 +247,7 @@ def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
     for name in COEFFICIENTS:
         entry, sign = source[name[1:]]
         columns.append(sign * table.coefficient(name[0] + entry))
-    values = np.stack(columns, axis=-1)
-    turned = BearingTable(table.nodes, table.speeds, values)
+    turned = BearingTable(table.nodes, table.speeds, np.stack(columns, axis=-1))
     excitations = tuple(replace(e, phase=e.phase - math.pi / 2) for e in hydrostatic.excitations)
     q = solve_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
     pairs = q.reshape(len(q), -1, 2, q.shape[-1])  # (x, y) and (alpha, beta) of each node: both are vectors
@@ -272,8 +271,7 @@ def test_reciprocity(hydrostatic: Machine) -> None:
     """
     rotor, few = hydrostatic.rotor, hydrostatic.bearings.at(np.arange(0, 60, 6))
     w, film = few.speeds, few.impedance()
-    symmetric = (film + film.mT) / 2
-    still = receptance(rotor, w, np.zeros_like(w), symmetric)
+    still = receptance(rotor, w, np.zeros_like(w), (film + film.mT) / 2)
     assert np.abs(still - still.mT).max() < 1e-10 * np.abs(still).max()
     spinning = receptance(rotor, w, w, film)
     opposite = receptance(rotor, w, -w, film.mT.copy())
@@ -376,7 +374,6 @@ def test_rigid_rotor_far_above_its_critical_speeds() -> None:
     shaft = {"length": 0.2, "outer_diameter": 0.1, "elements": 2}
     config = {"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}
     rotor = assemble(RotorConfig.model_validate(config))
-    speeds = np.array([6000.0]) * RAD_S_PER_RPM
-    table = bearings_of((0, 2), speeds, kxx=100.0, kyy=100.0)
+    table = bearings_of((0, 2), np.array([6000.0]) * RAD_S_PER_RPM, kxx=100.0, kyy=100.0)
     q = solve_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
     assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)

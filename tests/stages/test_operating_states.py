@@ -47,8 +47,7 @@ def test_a_condition_that_changes_no_bearing_is_named() -> None:
     operating = {name: values.ravel() for name, values in at.items()}
     same = BearingTable((0,), np.full(4, 100.0), np.ones((1, 4, 8)), operating)
     assert find_idle(same) == ["load", "oil_temperature"]
-    film = replace(same, values=same.values * operating["oil_temperature"][:, None])
-    assert find_idle(film) == ["load"]
+    assert find_idle(replace(same, values=same.values * operating["oil_temperature"][:, None])) == ["load"]
 
 
 def test_a_condition_that_the_model_has_no_input_for_is_named() -> None:
@@ -94,8 +93,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_fit_reads_points_runs_and_known_coefficients_of_own_files(own: Path) -> None:
     files = [f"data.{name}={own / file}" for name, file in (("vibration", "vibration.parquet"), ("known", "known.csv"))]
-    config = composed(*BASE, *files, f"data.excitation={own / 'excitation.csv'}")
-    found = load_measurement(config)
+    found = load_measurement(composed(*BASE, *files, f"data.excitation={own / 'excitation.csv'}"))
     assert not found.dataset.complete
     assert found.known.operating.keys() == {"oil_temperature", "load"}
     absent = ~found.dataset.present[:, 0]

@@ -106,8 +106,7 @@ def test_the_floor_of_drift_is_what_noise_of_that_size_leaves() -> None:
 
 def test_a_drift_in_the_order_is_seen() -> None:
     rng = np.random.default_rng(4)
-    machine = truth(rng)
-    conditions = machine.draw(rng, 50)
+    conditions = truth(rng).draw(rng, 50)
     assert judge_drift(conditions, fit_influence(conditions)) > 0.01
     conditions.displacement[:] += np.linspace(0, 2e-6, 50)[:, None, None]
     assert judge_drift(conditions, fit_influence(conditions)) < 1e-6
@@ -119,8 +118,7 @@ def test_methods_are_scored_or_say_why_not() -> None:
     rng = np.random.default_rng(2)
     machine = truth(rng)
     conditions = conditions_of(rng, 24)
-    unbalance = conditions.unbalance
-    conditions = replace(conditions, displacement=machine.mean(unbalance).reshape(24, 2, 3))
+    conditions = replace(conditions, displacement=machine.mean(conditions.unbalance).reshape(24, 2, 3))
     splits = list_splits(conditions, conditions.names[:3], 3, None, 0)
     kept = [split for split in splits if split.task in ("folds", "calibration_alone", "other_speed")]
     peers = influence_peers(conditions.names[:3], 0.01)

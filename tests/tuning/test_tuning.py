@@ -114,8 +114,7 @@ def test_a_space_must_contain_the_default_and_fit_the_schema(overrides: list[str
 
 @pytest.mark.parametrize("name", ["adam", "adam_lbfgs", "adam_levenberg_marquardt", "levenberg_marquardt"])
 def test_each_optimizer_is_told_from_the_others(name: str) -> None:
-    high = "tuning.space.adam_epochs.high=5000"
-    assert find_default(untuned(f"optimizer={name}", high))["optimizer"] == name
+    assert find_default(untuned(f"optimizer={name}", "tuning.space.adam_epochs.high=5000"))["optimizer"] == name
 
 
 def _parabola(study: Any, config: Config) -> None:
@@ -123,8 +122,7 @@ def _parabola(study: Any, config: Config) -> None:
     trial = study.ask()
     kind = trial.suggest_categorical("kind", ["a", "b"])
     x = trial.suggest_float("x", -3, 3)
-    value = (x - 1) ** 2 + (trial.suggest_float("y", 0, 1) if kind == "a" else 0.5)
-    study.tell(trial, value)
+    study.tell(trial, (x - 1) ** 2 + (trial.suggest_float("y", 0, 1) if kind == "a" else 0.5))
 
 
 @pytest.mark.parametrize("name", ["tpe", "random", "gp"])

@@ -208,8 +208,7 @@ def test_the_modes_of_realistic_lie_within_their_deviations(artifacts) -> None:
     for number, one in answer.items():
         for key in ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent"):
             assert abs(one[key] - truth[number][key]) < 3 * one[f"{key}_std"], (number, key)
-    off = answer["1"]["rpm_std"] / answer["1"]["rpm"]
-    assert 0 < off < 1e-3
+    assert 0 < (answer["1"]["rpm_std"] / answer["1"]["rpm"]) < 1e-3
     stability = found["identified"]["stability"]
     away = (
         stability["smallest_logarithmic_decrement"] - found["modelled"]["stability"]["smallest_logarithmic_decrement"]

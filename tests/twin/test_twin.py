@@ -178,8 +178,7 @@ def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
 @pytest.mark.parametrize("critical", [10.0, 50.0, 90.0])
 def test_speed_exactly_on_the_line(critical: float) -> None:
     """A speed of the table that is itself critical counts once, also the first and the last."""
-    speeds = np.arange(10.0, 100.0, 10.0)
-    found = find_critical_speeds(made_modes(speeds, np.full(9, critical)))
+    found = find_critical_speeds(made_modes(np.arange(10.0, 100.0, 10.0), np.full(9, critical)))
     assert [one.speed for one in found] == [pytest.approx(critical)]
     assert found[0].logarithmic_decrement == pytest.approx(1e-3 * critical)
 
@@ -230,8 +229,7 @@ def test_margin_says_where(hydrostatic: Machine) -> None:
 )
 def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
     """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
-    q = np.array(amplitudes) * np.exp(1j * np.array(phases))
-    time, curve = sample_motion(q, speed)
+    time, curve = sample_motion(np.array(amplitudes) * np.exp(1j * np.array(phases)), speed)
     assert time[0] == 0
     assert time[-1] == pytest.approx(2 * 2 * math.pi / speed)
     wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))
