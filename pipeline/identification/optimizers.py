@@ -196,11 +196,11 @@ def _damped_step(
         if not len(at):
             break
         factor, info = torch.linalg.cholesky_ex(normal[at] + torch.diag_embed(damping[at, ..., None] * size[at]))
-        moved = current[at] - torch.cholesky_solve(gradient[at, ..., None], factor)[..., 0]
-        tried = problem.at(at).rows(moved).square().sum(-1)
+        ahead = current[at] - torch.cholesky_solve(gradient[at, ..., None], factor)[..., 0]
+        tried = problem.at(at).rows(ahead).square().sum(-1)
         # NaN compares false: an overflowing step is refused like one that climbs.
         better = (tried < squared[at]) & (info == 0) & ~accepted[at]
-        current[at] = torch.where(better[..., None], moved, current[at])
+        current[at] = torch.where(better[..., None], ahead, current[at])
         squared[at] = torch.where(better, tried, squared[at])
         factors = torch.where(better, _DAMPING_DOWN, torch.where(accepted[at], 1.0, _DAMPING_UP))
         damping[at] = (damping[at] * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
