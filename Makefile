@@ -18,8 +18,10 @@ export DVC_NO_ANALYTICS := 1
 # The systems are small: BLAS threads wait for each other, up to 100 times longer than they work on busy cores. A stage of
 # the pipeline sees to it itself; scripts of studies don't.
 export OPENBLAS_NUM_THREADS ?= 1
-# An activated conda or another project's settings must not reach .venv.
-unexport PYTHONHOME PYTHONPATH
+export OMP_NUM_THREADS ?= 1
+# An activated conda or another project's settings must not reach .venv. Containers often keep Python from writing what it
+# compiles: each of a hundred stages would compile two thousand modules, for five seconds.
+unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help env demo reproduce experiments-a-l experiments-m-z test test-quick test-nightly comparison ablation paper-study studies promote dashboard bench tables measured house size docs site reference lint lock audit clean

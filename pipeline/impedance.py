@@ -45,27 +45,30 @@ def to_coordinates(values: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-def to_coefficients(coordinates: torch.Tensor, speeds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """(.., S, 8) coefficients, N/m and N s/m, of coordinates (.., S, 8), and their slopes (.., S, 8, 8) by these."""
+def to_coefficients(
+    coordinates: torch.Tensor, speeds: torch.Tensor, slopes: bool = True
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(.., S, 8) coefficients, N/m and N s/m, of coordinates (.., S, 8), and their slopes (.., S, 8, 8) by these.
+
+    Without ``slopes``, these are (.., 0, 8, 8).
+    """
     import torch
 
     c = coordinates
     x, y, g = c[..., 0].exp(), c[..., 2].exp(), ((c[..., 0] + c[..., 2]) / 2).exp()
     tx, sx, ty, sy = c[..., 1].tanh(), 1 / c[..., 1].cosh(), c[..., 3].tanh(), 1 / c[..., 3].cosh()
-    nothing = torch.zeros_like(x)
     xy, yx, dxy, dyx = g * c[..., 4], g * c[..., 5], g * c[..., 6], g * c[..., 7]
-    four = [  # kxx, kxy, kyx, kyy: value and slopes
-        (x * tx, [x * tx, x * sx**2, nothing, nothing, nothing, nothing, nothing, nothing]),
-        (xy, [xy / 2, nothing, xy / 2, nothing, g, nothing, nothing, nothing]),
-        (yx, [yx / 2, nothing, yx / 2, nothing, nothing, g, nothing, nothing]),
-        (y * ty, [nothing, nothing, y * ty, y * sy**2, nothing, nothing, nothing, nothing]),
-        (x * sx, [x * sx, -x * sx * tx, nothing, nothing, nothing, nothing, nothing, nothing]),
-        (dxy, [dxy / 2, nothing, dxy / 2, nothing, nothing, nothing, g, nothing]),
-        (dyx, [dyx / 2, nothing, dyx / 2, nothing, nothing, nothing, nothing, g]),
-        (y * sy, [nothing, nothing, y * sy, -y * sy * ty, nothing, nothing, nothing, nothing]),
-    ]
     each = torch.ones(len(speeds), 8, dtype=c.dtype)
     each[:, 4:] = 1 / speeds[:, None]
-    values = torch.stack([value for value, _ in four], dim=-1) * each
-    slopes = torch.stack([torch.stack(row, dim=-1) for _, row in four], dim=-2) * each[..., None]
-    return values, slopes
+    values = torch.stack([x * tx, xy, yx, y * ty, x * sx, dxy, dyx, y * sy], dim=-1) * each
+    if not slopes:
+        return values, c.new_zeros(*c.shape[:-2], 0, 8, 8)
+    by_coordinates = c.new_zeros(*c.shape, 8)
+    for place, slope in {
+        (0, 0): x * tx, (0, 1): x * sx**2, (3, 2): y * ty, (3, 3): y * sy**2,
+        (4, 0): x * sx, (4, 1): -x * sx * tx, (7, 2): y * sy, (7, 3): -y * sy * ty,
+        (1, 0): xy / 2, (1, 2): xy / 2, (1, 4): g, (2, 0): yx / 2, (2, 2): yx / 2, (2, 5): g,
+        (5, 0): dxy / 2, (5, 2): dxy / 2, (5, 6): g, (6, 0): dyx / 2, (6, 2): dyx / 2, (6, 7): g,
+    }.items():  # fmt: skip
+        by_coordinates[..., *place] = slope * each[:, place[0]]
+    return values, by_coordinates

@@ -16,7 +16,7 @@ from pipeline.comparison.cases import Case, Machine, Result, judge_method
 from pipeline.config.comparison import MethodName
 from pipeline.errors import DataError, PipelineError
 from pipeline.files import hash_parts, read_json, write_json
-from pipeline.processes import delay_interrupt, end_with_parent, limit_threads
+from pipeline.processes import delay_interrupt, end_with_parent, limit_threads, settle_torch
 
 _PACKAGES = ("comparison", "data", "identification", "laws", "methods", "problem", "rotor")
 _ASKED = {"methods", "noise", "sensors", "speeds", "data_sets", "other_data_sets", "most_data_sets", "workers"}
@@ -103,13 +103,11 @@ _working = False
 
 
 def _begin() -> None:
-    import torch
-
     # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     end_with_parent()
-    torch.set_num_threads(1)
+    settle_torch(1)
 
 
 def _leave(*_: object) -> None:

@@ -227,10 +227,16 @@ class LawTerm:
         return values[..., list(self.leaders)], slopes[..., list(self.leaders), :] * inside[:, None, None, None]
 
     def correct(
-        self, model: CoefficientModel, theta: torch.Tensor, outputs: torch.Tensor, scale: torch.Tensor
+        self,
+        model: CoefficientModel,
+        theta: torch.Tensor,
+        outputs: torch.Tensor,
+        scale: torch.Tensor,
+        slopes: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """The unknowns of ``theta`` (G, Th) with the model's ``outputs`` (G, M, S, U) and ``scale``, N/m and N s/m;
-        (G, M, S, U, U) their derivative by the outputs; and (G, M, S, U, Th) that by theta.
+        (G, M, S, U, U) their derivative by the outputs; and (G, M, S, U, Th) that by theta. Without ``slopes`` the
+        derivatives may be those of no speed.
         """
         import torch
 
@@ -239,16 +245,16 @@ class LawTerm:
             order = torch.tensor([COEFFICIENTS.index(name) for name in model.unknowns])
             coordinates = outputs.new_zeros(*outputs.shape[:-1], len(COEFFICIENTS))
             coordinates[..., places] = outputs
-            values, slopes = to_coefficients(coordinates, torch.as_tensor(self.points[SPEED]))
-            slopes = slopes.index_select(-2, order).index_select(-1, places)
-            return values.index_select(-1, order), slopes, outputs.new_zeros(*outputs.shape, 0)
+            values, by_coordinate = to_coefficients(coordinates, torch.as_tensor(self.points[SPEED]), slopes)
+            by_output = by_coordinate[..., order[:, None], places]
+            return values.index_select(-1, order), by_output, outputs.new_zeros(*by_output.shape[:-1], 0)
         if not self.laws:
             values, by_output = model.physical(outputs, scale)
             return values, torch.diag_embed(by_output), outputs.new_zeros(*outputs.shape, 0)
-        positive, (base, slopes) = torch.tensor(model.positive), self.evaluate(theta)
+        positive, (base, by_theta) = torch.tensor(model.positive), self.evaluate(theta)
         values, by_output = model.physical(outputs, torch.where(positive, base, scale), base)
         growth = torch.where(positive, torch.where(positive, outputs, 0.0).exp(), 1.0)
-        return values, torch.diag_embed(by_output), slopes * growth[..., None]
+        return values, torch.diag_embed(by_output), by_theta * growth[..., None]
 
 
 def select_active(

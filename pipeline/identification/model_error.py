@@ -95,8 +95,8 @@ def measure_error(problem: OutputError, weights: torch.Tensor) -> MeanSquareErro
     tau = evidence.maximise(rounds=100, still=5e-3, smallest=1e-6)
     if problem.law.laws and evidence.is_chance(tau, n_active):  # a right law's; curves never are quite right
         return noise_alone(problem, covariance)
-    mean, spread = evidence.posterior(tau)
-    moment = spread + np.outer(mean, mean)
+    mean, root = evidence.posterior(tau)
+    moment = root.T @ root + np.outer(mean, mean)
     error = np.zeros_like(matrix)
     error[np.ix_(~local, ~local)] = covariance + by_fit @ moment @ by_fit.T
     error[np.ix_(~local, local)] = by_fit @ moment

@@ -29,8 +29,16 @@ class LeastSquares(Protocol):
     def normal(self, parameters: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient J'r (G, M, Q) and J'J (G, M, Q, Q)."""
 
+    def level(self, squared: torch.Tensor, /) -> torch.Tensor:
+        """(G, M) a root mean square that falls with the sum (G, M) of the squared rows."""
+
     def loss(self, parameters: torch.Tensor, /) -> torch.Tensor:
-        """(G, M) a root mean square that falls with the squared rows."""
+        """(G, M) the :meth:`level` at the parameters."""
+        return self.level(self.rows(parameters).square().sum(-1))
+
+    def at(self, starts: torch.Tensor, /) -> LeastSquares:
+        """The problem of these of the G starts (their indices), by default the same for all of them."""
+        return self
 
     def rounding(self) -> torch.Tensor:
         """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
@@ -158,9 +166,9 @@ def levenberg_marquardt(
     for _ in range(config.steps):
         active = torch.nonzero(~over)[:, 0]
         current[active], squared[active], damping[active] = _damped_step(
-            problem, current[active], squared[active], damping[active], by_diagonal
+            problem.at(active), current[active], squared[active], damping[active], by_diagonal
         )
-        over |= monitor(current, problem.loss(current)).all(dim=1)
+        over |= monitor(current, problem.level(squared)).all(dim=1)
         if over.all():
             break
     return current
@@ -179,24 +187,24 @@ def _damped_step(
     import torch
 
     gradient, normal = problem.normal(current)
-    identity = torch.eye(current.shape[-1], dtype=current.dtype)
     diagonal = normal.diagonal(dim1=-2, dim2=-1)
     size = diagonal.mean(-1, keepdim=True).clamp(min=1e-300)
-    size = diagonal.clamp(min=smallest * size) if by_diagonal else size
+    size = diagonal.clamp(min=smallest * size) if by_diagonal else size.expand_as(diagonal)
     accepted = torch.zeros_like(squared, dtype=torch.bool)
     for _ in range(tries):
-        factor, info = torch.linalg.cholesky_ex(normal + (damping[..., None] * size)[..., None] * identity)
-        step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
-        tried = problem.rows(current + step).square().sum(-1)
-        # NaN compares false: an overflowing step is refused like one that climbs.
-        better = (tried < squared) & (info == 0) & ~accepted
-        current = torch.where(better[..., None], current + step, current)
-        squared = torch.where(better, tried, squared)
-        factors = torch.where(better, _DAMPING_DOWN, _DAMPING_UP)
-        damping = torch.where(accepted, damping, damping * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
-        accepted |= better
-        if accepted.all():
+        at = torch.nonzero(~accepted.all(dim=1))[:, 0]  # starts that have a member to try
+        if not len(at):
             break
+        factor, info = torch.linalg.cholesky_ex(normal[at] + torch.diag_embed(damping[at, ..., None] * size[at]))
+        ahead = current[at] - torch.cholesky_solve(gradient[at, ..., None], factor)[..., 0]
+        tried = problem.at(at).rows(ahead).square().sum(-1)
+        # NaN compares false: an overflowing step is refused like one that climbs.
+        better = (tried < squared[at]) & (info == 0) & ~accepted[at]
+        current[at] = torch.where(better[..., None], ahead, current[at])
+        squared[at] = torch.where(better, tried, squared[at])
+        factors = torch.where(better, _DAMPING_DOWN, torch.where(accepted[at], 1.0, _DAMPING_UP))
+        damping[at] = (damping[at] * factors).clamp(_DAMPING_FLOOR, _DAMPING_CEILING)
+        accepted[at] |= better
     return current, squared, damping
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -181,11 +181,11 @@ class OutputError(LeastSquares):
         """(G, T) model parameters, in prior deviations."""
         return weights[:, 0, self.places.parameters]
 
-    def unknowns(self, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def unknowns(self, weights: torch.Tensor, slopes: bool = True) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """(G, S, A) active unknowns in N/m and N s/m, their derivatives (G, S, A, A) by the model's outputs, and
-        (G, S, A, Th) those by theta.
+        (G, S, A, Th) those by theta; derivatives of nothing (S is 0) where they may be left out (no ``slopes``).
         """
-        every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)
+        every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale, slopes)
         return select_active(self.active, *every)
 
     def weigh(self, count: int = 1, **blocks: torch.Tensor) -> torch.Tensor:
@@ -202,7 +202,7 @@ class OutputError(LeastSquares):
     def predicted(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block."""
         sensors, parameters = (self.update(weights) if self.exact else self).sensors, self.model_parameters(weights)
-        return sensors.predict(self.unknowns(weights)[0], self.unbalance(weights), parameters)
+        return sensors.predict(self.unknowns(weights, slopes=False)[0], self.unbalance(weights), parameters)
 
     def displacement(self, weights: torch.Tensor) -> np.ndarray:
         """(S, P, R) m as the data set has them, of the weights (1, 1, Z)."""
@@ -223,20 +223,24 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        values, slope, by_numbers = self.unknowns(weights)
+        values, *slopes = self.unknowns(weights)
         sensors = (self.update(weights) if self.exact else self).sensors
         unbalance, parameters = self.unbalance(weights), self.model_parameters(weights)
         for b, precision in enumerate(self.readings.precision):
-            expected, by_unknowns, by_planes, by_parameters = sensors.derive(b, values, unbalance, parameters)
+            expected, by_numbers, by_planes, by_parameters = sensors.derive(
+                b, values, unbalance, parameters, torch.cat(slopes, dim=-1)
+            )
             by_pairs = self.plane_scale * torch.stack([by_planes, 1j * by_planes], dim=-1).flatten(-2)
-            by_theta = by_unknowns @ by_numbers.to(by_unknowns.dtype)[:, :, None]
-            by_outputs = by_unknowns @ slope.to(by_unknowns.dtype)[:, :, None]
-            columns = [by_outputs, by_theta, by_pairs, by_parameters]
-            deviations = self.readings.subtract_from(b, expected)[..., None]
-            rows = torch.cat([*(column * precision[..., None] for column in columns), deviations], dim=-1)
+            off = (expected - self.readings.measured[b])[..., None]
+            rows = torch.cat([by_numbers, by_pairs, by_parameters, off], dim=-1) * precision[..., None]
             yield self.readings.whiten(b, rows)
 
     # --- what is minimised ----------------------------------------------------------------------------
+
+    def at(self, starts: torch.Tensor) -> Self:
+        """That of some starts, each of which may weigh the readings by precisions of its own."""
+        alike = len(self.readings.precision[0]) in (1, len(starts))
+        return self if alike else replace(self, readings=self.readings.at(starts))
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N), whitened; the priors come last."""
@@ -245,9 +249,9 @@ class OutputError(LeastSquares):
         both = [torch.view_as_real(off).reshape(len(off), -1) for off in self.deviations(weights)]
         return torch.cat([*both, self.prior.deviations(weights[:, 0])], dim=-1)[:, None]
 
-    def loss(self, weights: torch.Tensor) -> torch.Tensor:
+    def level(self, squared: torch.Tensor) -> torch.Tensor:
         """(G, 1) root mean square of the whitened deviations: 1 where nothing but the stated noise is left."""
-        return (self.rows(weights).square().sum(-1) / self.readings.size).sqrt()
+        return (squared / self.readings.size).sqrt()
 
     def rounding(self, precision: float = 1e-13) -> torch.Tensor:
         """(1,) the loss that the readings round to: their size over their noise, times their ``precision``."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,6 +48,14 @@ class Readings:
     def size(self) -> int:
         """Real numbers that were measured."""
         return 2 * self.measurement.dataset.n_readings
+
+    def at(self, starts: torch.Tensor) -> Readings:
+        """Those of some data sets or starts."""
+        parts: dict[str, Any] = {
+            name: tuple(each if len(each) == 1 else each[starts] for each in getattr(self, name))
+            for name in ("measured", "precision", "common")
+        }
+        return replace(self, **parts)
 
     def subtract_from(self, b: int, predicted: torch.Tensor) -> torch.Tensor:
         """(G, S, P, R) predicted less measured readings of block b, weighed by the noise of their own."""
@@ -257,8 +265,12 @@ class SensorModel:
             scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
         return scales
 
-    def _place(self, b: int, values: torch.Tensor, parameters: torch.Tensor) -> Iterator[_Placed]:
-        """Block b at the model parameters: whole, or run by run where bearings drift between the runs."""
+    def _place(
+        self, b: int, values: torch.Tensor, parameters: torch.Tensor, derivative: bool = True
+    ) -> Iterator[_Placed]:
+        """Block b at the model parameters: whole, or run by run where bearings drift between the runs; its derivatives
+        by them, which take long, where they are asked for or the parameters are others than it was solved at.
+        """
         import torch
 
         shift = (parameters - self.solved_at) * (self._growth == 0)
@@ -267,16 +279,17 @@ class SensorModel:
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
         scales = torch.zeros(eight.shape[2], len(self.solved_at), dtype=torch.float64)
         references = torch.as_tensor(self.measurement.response.references)
-        whole, variation = self.blocks[b], self._variations[b] if self._variations else None
-        parts = [(whole, variation, scales)]
-        if len(self._drift) and variation is not None:
+        whole, shifted = self.blocks[b], bool(shift.any())
+        variation = self._variations[b] if (derivative or shifted) and self._variations else None
+        varied = whole if variation is None or not shifted else whole.vary(variation, shift)
+        parts = [(varied, variation, scales)]
+        if len(self._drift):
             every = [(np.array([i]), self._drift[r]) for i, r in enumerate(whole.runs)]
-            parts = [(whole.of_runs(i), variation.of_runs(i), scale) for i, scale in every]
+            parts = [(varied.of_runs(i), variation and variation.of_runs(i), scale) for i, scale in every]
         for block, variation, scale in parts:
-            varied = block if variation is None else block.vary(variation, shift)
             factor = 1 + parameters @ scale.mT  # (G, B)
             change = impedance_change(eight * factor[:, None, :, None], block.frequencies, references)
-            yield _Placed(varied, variation, change, factor, eight, scale)
+            yield _Placed(block, variation, change, factor, eight, scale)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block.
@@ -289,7 +302,7 @@ class SensorModel:
         import torch
 
         every = [
-            [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters)]
+            [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters, False)]
             for b in range(len(self.blocks))
         ]
         return [self._join(b, torch.cat(parts, dim=3)) for b, parts in enumerate(every)]
@@ -301,38 +314,47 @@ class SensorModel:
         return shown[:, :, :, :-1] - shown[:, :, :, -1:]
 
     def derive(
-        self, b: int, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor
+        self,
+        b: int,
+        values: torch.Tensor,
+        unbalance: torch.Tensor,
+        parameters: torch.Tensor,
+        slopes: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Readings of block b, and their derivatives (G, S, P, R, ..) by what :meth:`predict` takes: A unknowns, N
-        planes (by 1 kg m), T model parameters.
+        """Readings of block b, and their derivatives (G, S, P, R, ..) by what :meth:`predict` takes: A unknowns, or n
+        numbers by which these have ``slopes`` (G, S, A, n); N planes (by 1 kg m); T model parameters.
         """
         import torch
 
-        slopes = self._known_slopes[b] * (parameters * self._growth).exp()[:, None, None]  # (G, S, 8 B, T)
-        every = [self._derive(placed, unbalance, slopes) for placed in self._place(b, values, parameters)]
-        readings, by_unknowns, by_planes, by_parameters = (
+        known = self._known_slopes[b] * (parameters * self._growth).exp()[:, None, None]  # (G, S, 8 B, T)
+        influence = self._influence.expand(*known.shape[:3], -1)
+        moves = influence if slopes is None else self._influence @ slopes  # (G, S, 8 B, n)
+        every = [self._derive(placed, unbalance, moves, known) for placed in self._place(b, values, parameters)]
+        readings, by_numbers, by_planes, by_parameters = (
             self._join(b, torch.cat(parts, dim=3)) for parts in zip(*every, strict=True)
         )
-        return readings, by_unknowns, by_planes, by_parameters
+        return readings, by_numbers, by_planes, by_parameters
 
-    def _derive(self, placed: _Placed, unbalance: torch.Tensor, slopes: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def _derive(
+        self, placed: _Placed, unbalance: torch.Tensor, moves: torch.Tensor, known: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
         """As :meth:`derive`, of a part of a block."""
         import torch
 
         response = respond(placed.block, placed.change, unbalance)
-        by_eight = derive(placed.block, response)  # (G, S, P, R, B, 8)
-        by_scale = torch.einsum("gsprbc,gsbc->gsprb", by_eight, placed.eight.to(by_eight.dtype))
-        by_coefficient = (by_eight * placed.factor[:, None, None, None, :, None]).flatten(-2)
-        shape, kind = response.sensors.shape, by_coefficient.dtype
-        by_planes = torch.zeros(*shape, unbalance.shape[-1], dtype=kind)
+        factor = placed.factor.repeat_interleave(8, dim=1)[:, None, :, None]
+        by_scale = placed.eight.flatten(2)[..., None] * placed.scale.repeat_interleave(8, dim=0)
+        every = torch.cat([moves * factor, known * factor + by_scale], dim=-1)
+        by_numbers, by_parameters = derive(placed.block, response, every).split(
+            [moves.shape[-1], known.shape[-1]], dim=-1
+        )
+        by_planes = response.sensors.new_zeros(*response.sensors.shape, unbalance.shape[-1])
         if response.unit_sensors.shape[-1]:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
-        by_parameters = torch.zeros(*shape, len(self.solved_at), dtype=kind)
         if placed.variation is not None:
             by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
-            by_known = by_coefficient @ slopes.to(kind)[:, :, None]
-            by_parameters = by_model * (self._growth == 0) + by_known + by_scale @ placed.scale.to(kind)
-        return response.sensors, by_coefficient @ self._influence.to(kind), by_planes, by_parameters
+            by_parameters = by_model * (self._growth == 0) + by_parameters
+        return response.sensors, by_numbers, by_planes, by_parameters
 
 
 def sensor_model(measurement: Measurement) -> SensorModel:

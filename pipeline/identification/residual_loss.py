@@ -26,6 +26,7 @@ from pipeline.identification.blocks import for_model
 from pipeline.identification.held_out import held_out_speeds
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel, coefficient_model
+from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.training import FitSetup, initial_guess, root_mean_square
 from pipeline.problem.identifiability import judge_identifiability, require_identifiable
 from pipeline.problem.measurement import Measurement
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualProblem:
+class ResidualProblem(LeastSquares):
     """``rows = R p(parameters) + y`` with ``loss^2 = |rows|^2 + rest``."""
 
     model: CoefficientModel
@@ -65,12 +66,12 @@ class ResidualProblem:
         gradient = (slopes.mT @ rows[..., None])[..., 0]
         return self.model.raw_normal(parameters, self.inputs, gradient, slopes.mT @ slopes)
 
-    def loss(self, parameters: torch.Tensor) -> torch.Tensor:
+    def level(self, squared: torch.Tensor) -> torch.Tensor:
         """(G, M) root mean square of the residual over speeds, runs and directions.
 
         The paper's ``|r|_2`` divided by the root of the number of its elements.
         """
-        return (self.rows(parameters).square().sum(-1) + self.rest).sqrt()
+        return (squared + self.rest).sqrt()
 
     def rounding(self) -> torch.Tensor:
         """(M,) the loss that the data round to: that of no bearing force at all, times their precision."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -127,20 +126,19 @@ class Whitened(LeastSquares):
         """Y'."""
         return int(self.choices.root.shape[-1]) + self.problem.places.n_rest
 
-    @cached_property
-    def root(self) -> torch.Tensor:
-        """(G, Z, Y') derivative of the weights by the numbers."""
+    def carry(self, by_weights: torch.Tensor) -> torch.Tensor:
+        """Derivatives (G, .., Z) by the weights as those (G, .., Y') by the numbers."""
         import torch
 
-        rest = torch.eye(self.problem.places.n_rest, dtype=self.choices.root.dtype)
-        return torch.stack([torch.block_diag(root, rest) for root in self.choices.root])
+        alone, rest = by_weights.tensor_split([self.problem.places.n_coefficients], dim=-1)
+        return torch.cat([alone @ self.choices.root, rest], dim=-1)
 
     def weights(self, y: torch.Tensor) -> torch.Tensor:
         """(G, 1, Z)."""
         import torch
 
-        mean = torch.nn.functional.pad(self.choices.mean, (0, self.problem.places.n_rest))
-        return mean[:, None] + y @ self.root.mT
+        alone, rest = y.tensor_split([self.choices.root.shape[-1]], dim=-1)
+        return torch.cat([self.choices.mean[:, None] + alone @ self.choices.root.mT, rest], dim=-1)
 
     def rows(self, y: torch.Tensor, /) -> torch.Tensor:
         """(G, 1, rows), the numbers of the choices last."""
@@ -154,12 +152,17 @@ class Whitened(LeastSquares):
 
         gradient, matrix = self.problem.normal(self.weights(y))
         prior = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)  # one for numbers of the choices
-        information = self.root.mT[:, None] @ matrix @ self.root[:, None]
-        return gradient @ self.root + prior * y, information + torch.diag(prior)
+        information = self.carry(self.carry(matrix[:, 0]).mT)[:, None]
+        return self.carry(gradient) + prior * y, information + torch.diag(prior)
 
-    def loss(self, y: torch.Tensor, /) -> torch.Tensor:
+    def level(self, squared: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""
-        return (self.rows(y).square().sum(-1) / self.problem.readings.size).sqrt()
+        return (squared / self.problem.readings.size).sqrt()
+
+    def at(self, starts: torch.Tensor, /) -> Whitened:
+        """That of some choices."""
+        every = len(starts) == len(self.choices.priors)
+        return self if every else replace(self, choices=self.choices.select(starts.tolist()))
 
     def minimise(self, y: torch.Tensor, still: float, steps: int = 25) -> torch.Tensor:
         """Where all choices end, once no step lowers a loss by the share ``still``."""
@@ -233,7 +236,8 @@ def search(
         if correlation > 0:
             return search(problem.correlated(correlation), choices, seed, kept, most_exact, small)
     shares = (evidence - evidence[0]).exp()
-    covariance = whitened.root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ whitened.root.mT
+    root = whitened.carry(torch.eye(problem.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
+    covariance = root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ root.mT
     return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray(shares / shares.sum()), problem)
 
 

@@ -28,7 +28,7 @@ from pipeline.identification.blocks import Basis
 from pipeline.identification.linear_start import robust_start
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError
-from pipeline.problem.slopes import invert
+from pipeline.problem.slopes import invert_root
 
 if TYPE_CHECKING:
     import torch
@@ -201,9 +201,9 @@ class Evidence(NamedTuple):
     sigma: np.ndarray  # (A,) at hand
 
     def posterior(self, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (Z,) and covariance (Z, Z) of the weights for a ``sigma`` (A,)."""
-        spread = invert(self.data + np.diag(self.precision(sigma)))
-        return spread @ self.right, spread
+        """Mean (Z,) of the weights for a ``sigma`` (A,), and a root (Z, Z) of their covariance ``root' root``."""
+        root = invert_root(self.data + np.diag(self.precision(sigma)))
+        return root.T @ (root @ self.right), root
 
     def precision(self, sigma: np.ndarray) -> np.ndarray:
         """(Z,) of the weights; zero for those behind the first."""
@@ -218,9 +218,9 @@ class Evidence(NamedTuple):
         """
         sigma, unit = self.sigma, self.unit
         for _ in range(rounds):
-            mean, spread = self.posterior(sigma)
+            mean, root = self.posterior(sigma)
             # How many of an unknown's weights the readings determine.
-            told = (1.0 - (self.precision(sigma) * np.diag(spread))[: unit.size]) * (unit.ravel() > 0)
+            told = (1.0 - (self.precision(sigma) * (root**2).sum(0))[: unit.size]) * (unit.ravel() > 0)
             squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
             told = told.reshape(unit.shape).sum(axis=1)
             likelier = np.sqrt(self.alike @ squares / np.maximum(self.alike @ told, tiny))

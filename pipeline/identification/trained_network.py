@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -74,6 +74,12 @@ class TrainedNetworks(OutputError):
     def prior(self) -> Prior:
         """What is known of the numbers; what is known of the functions is not linear in them."""
         return self.known
+
+    def at(self, starts: torch.Tensor) -> Self:
+        """That of some networks, each of which may have aims of its own."""
+        aims = self.known.aims if self.known.aims.ndim == 1 else self.known.aims[starts]
+        chosen = super().at(starts)
+        return chosen if chosen is self else replace(chosen, known=replace(self.known, aims=aims))
 
     def rows(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, 1, rows + N), those of the prior of functions last."""

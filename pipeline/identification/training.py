@@ -235,8 +235,8 @@ def minimise(
     return Minimum(
         parameters=monitor.best,
         outcomes=_outcomes(monitor, interrupted),
-        loss=root_mean_square(problem.loss(monitor.best)),
-        held_out_loss=None if held_out is None else root_mean_square(held_out.loss(monitor.best)),
+        loss=root_mean_square(monitor.best_score if held_out is None else problem.loss(monitor.best)),
+        held_out_loss=None if held_out is None else root_mean_square(monitor.best_score),
         steps=monitor.step,
         seconds=time.perf_counter() - monitor.started,
         history=tuple(monitor.history),

@@ -131,7 +131,8 @@ class Uncertainty:
             normal = norm.ppf(qmc.Sobol(len(mine), scramble=False).random(2 * count)[1:])
             drawn = raw[m].repeat(2 * count, 1, 1)  # the answer itself is the first
             drawn[1:, :, self.active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
-            every = term.correct(model, identified.theta[None], drawn[:, None], model.scale_tensor())[0][:, 0].numpy()
+            scale, drawn = model.scale_tensor(), drawn[:, None]
+            every = term.correct(model, identified.theta[None], drawn, scale, slopes=False)[0][:, 0].numpy()
             low, high = np.quantile(every, [0.025, 0.975], axis=0)
             deviations[m] = np.maximum(high - every[0], every[0] - low) / NOMINAL_95
         return identified.unknowns.expand_deviation(deviations)

@@ -155,17 +155,18 @@ def respond(
     return BlockResponse(sensors, displacements, units, block.receptance_sensors - carried @ at_bearings, at_bearings)
 
 
-def derive(block: ResponseBlock, response: BlockResponse) -> Array:
-    """(.., S, P, R, B, 8) derivative of the displacements at the sensors by the coefficients, m over N/m and N s/m."""
-    library = _library(response.sensors)
-    through, displacements = response.receptance_sensors, response.bearings
-    n_bearings = through.shape[-1] // 2
-    through = through.reshape(*through.shape[:-1], n_bearings, 2)
-    displacements = displacements.reshape(*displacements.shape[:-2], n_bearings, 2, displacements.shape[-1])
-    pairs = -library.einsum("...spbi,...sbjr->...sprbij", through, displacements)
-    by_stiffness = pairs.reshape(*pairs.shape[:-2], 4)
-    by_damping = 1j * block.frequencies[:, None, None, None, None] * by_stiffness
-    return library.concatenate([by_stiffness, by_damping], axis=-1)
+def derive(block: ResponseBlock, response: BlockResponse, moves: Array) -> Array:
+    """(.., S, P, R, n) derivative of the displacements at the sensors, m, by numbers that move the coefficients by
+    ``moves`` (.., S, 8 B, n) N/m and N s/m; (8 B, n) at every speed alike.
+    """
+    library, omega = _library(moves), block.frequencies[:, None, None, None, None]
+    eight = moves.reshape(*moves.shape[:-2], -1, 2, 2, 2, moves.shape[-1])  # (.., S, B, 2, 2, 2, n)
+    change = eight[..., 0, :, :, :] + 1j * omega * eight[..., 1, :, :, :]
+    bearings = response.bearings.reshape(*response.bearings.shape[:-2], -1, 2, response.bearings.shape[-1])
+    force = library.einsum("...bijn,...bjr->...birn", change, bearings)
+    shape = (*force.shape[:-4], response.bearings.shape[-2], -1)
+    by_numbers = -(response.receptance_sensors @ force.reshape(shape))
+    return by_numbers.reshape(*by_numbers.shape[:-1], *force.shape[-2:])
 
 
 def derive_by_parameters(
@@ -244,10 +245,12 @@ class ResponseEquations:
 
     def sensitivity(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:
         """(S, P, R, B, 8) derivative of :meth:`predict` by the coefficients."""
-        n_bearings = len(self.bearing_nodes)
+        n_bearings, count = len(self.bearing_nodes), 4 * self.blocks[0].receptance_bearings.shape[-1]
+        moves = np.eye(count)[:, : 8 * n_bearings]
 
         def by_coefficient(block: ResponseBlock) -> Array:
-            return derive(block, respond(block, self.change(bearings, block), unbalance))[..., :n_bearings, :]
+            every = derive(block, respond(block, self.change(bearings, block), unbalance), moves)
+            return every.reshape(*every.shape[:-1], n_bearings, 8)
 
         return self._gather(by_coefficient, n_bearings, 8)
 

@@ -98,3 +98,16 @@ def invert(information: np.ndarray | torch.Tensor) -> np.ndarray:
     else:
         inverse = torch.cholesky_inverse(factor)  # in an eighth of the time
     return np.asarray((inverse / size[..., :, None] / size[..., None, :]).numpy())
+
+
+def invert_root(information: np.ndarray) -> np.ndarray:
+    """(Z, Z) ``root`` of the inverse ``root' root`` of (Z, Z), as :func:`invert` of it: in half the time."""
+    from scipy.linalg import lapack
+
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information / size[:, None] / size
+    factor, failed = lapack.dpotrf(scaled, lower=True, clean=True)
+    if not failed:
+        return np.asarray(lapack.dtrtri(factor, lower=True)[0] / size)
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 10 * np.finfo(float).eps))).T / size)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.config.schema import Config
+from pipeline.processes import settle_torch
 from pipeline.reporting.console import warn
 from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord, track
@@ -22,9 +23,7 @@ if TYPE_CHECKING:
 
 def use_threads(config: Config) -> None:
     """Let torch use the configured number of threads."""
-    import torch
-
-    torch.set_num_threads(config.threads)
+    settle_torch(config.threads)
 
 
 @dataclass(frozen=True)

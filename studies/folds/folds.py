@@ -37,7 +37,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis, locate_files
-from pipeline.stages.execution import StageOutput, record
+from pipeline.stages.execution import StageOutput, record, use_threads
 from pipeline.stages.measurement import load_dataset, load_measurement
 from pipeline.tracking import recorder_beside
 
@@ -89,6 +89,7 @@ def _parse_heavy(text: str) -> float:
 
 def _record(asked: Namespace) -> None:
     config = compose_config(asked.overrides).model_copy(update={"stage": "folds"})
+    use_threads(config)
     with recorder_beside(config.tracking.enabled):
         record(
             Analysis(config),

@@ -24,6 +24,7 @@ import yaml
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
+from pipeline.config.rotor import RotorConfig
 from pipeline.config.schema import Config
 from pipeline.data.as_built import build_rotor, stand_on_pedestals
 from pipeline.data.dataset import Excitation, VibrationDataset
@@ -140,8 +141,7 @@ def _weigh(rotor: Mapping[str, Any]) -> tuple[float, float, float]:
     """First natural frequency on rigid supports (rpm), weight (N), and the node of the centre of mass."""
     from scipy.linalg import eigh
 
-    config = _compose({"rotor": rotor, "bearings": {"kind": "linear", "kxx": 1e12, "kyy": 1e12}})
-    model = load_rotor(config.machine.rotor)
+    model = load_rotor(RotorConfig.model_validate(rotor))
     mass, stiffness = np.array(model.mass), np.array(model.stiffness)
     x = np.arange(0, len(mass), len(mass) // model.n_nodes)
     unit = np.zeros(len(mass))
@@ -211,20 +211,6 @@ def _draw_runs(
     return runs, tuple(unbalance(10e-6) for _ in discs)
 
 
-def _compose(machine: Mapping[str, Any]) -> Config:
-    """The configuration of a machine file with these keys, and with speeds and a run where they are not drawn yet."""
-    weight = {"node": machine["rotor"]["discs"][0]["node"], "magnitude": "1 g mm", "phase": "0 deg"}
-    keys = {
-        "speeds": {"start_rpm": 500, "stop_rpm": 1000, "step_rpm": 100},
-        "runs": [{"name": "first", "unbalances": [weight]}],
-        **machine,
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "machine.yaml"
-        path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
-        return compose_config([f"machine.file={path}", "tracking=none"])
-
-
 def compose_real(drawn: Drawn) -> Config:
     """The configuration of the machine as it is."""
     keys = {key: value for key, value in drawn.stated.items() if key not in ("probes", "prediction")}
@@ -233,7 +219,10 @@ def compose_real(drawn: Drawn) -> Config:
     built = drawn.trouble.get("built", {})
     if built:
         keys["as_built"] = built
-    return _compose(keys)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "machine.yaml"
+        path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
+        return compose_config([f"machine.file={path}", "tracking=none"])
 
 
 def _load_bearings(config: Config) -> BearingTable:
