@@ -20,7 +20,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1760,
+    "config": 1758,
     "laws": 485,
     "rotor": 767,
     "data": 1136,
@@ -44,8 +44,8 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18455, 14500),
-    "files": (265, 250),
+    "statements of pipeline/": (18453, 14500),
+    "files": (266, 250),
     "classes": (328, 260),
     "is None, is not None": (340, 420),
     "isinstance on configurations": (7, 10),
@@ -53,8 +53,8 @@ BUDGETS = {
     "bindings named by empty words": (120, 200),
     "statements of tests/": (13024, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (714, 380),
-    "their files": (107, 75),
+    "functions entered by ingest and train of measured_demo": (744, 380),
+    "their files": (110, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
 

@@ -54,7 +54,10 @@ HOMES = {
 AT_ONCE = {"numpy", "scipy.linalg", "pydantic"}
 """What a module may import when it is imported itself; everything else waits until it is used."""
 
-ALL_HEAVY = {"tracking/predictor.py": "subclasses MLflow's PythonModel, and is itself imported by functions only"}
+ALL_HEAVY = {
+    "tracking/predictor.py": "subclasses MLflow's PythonModel, and is itself imported by functions only",
+    "config/conf_source.py": "subclasses Hydra's source of files, and is itself imported by a function only",
+}
 """Modules that import heavy packages at once, and why that costs nobody."""
 
 

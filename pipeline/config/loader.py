@@ -7,7 +7,6 @@ import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -84,6 +83,7 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
     from hydra.core.singleton import Singleton
     from hydra.core.utils import setup_globals
 
+    from pipeline.config.conf_source import ConfSource
     from pipeline.config.own_machines import store_folder
 
     if not CONF.is_dir():
@@ -96,52 +96,10 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
         setup_globals()
         if folder:
             store_folder(folder)
-        source = define_source()
-        SourcesRegistry.instance().register(source)
-        yield ConfigLoaderImpl(create_config_search_path(f"{source.scheme()}://{CONF}"))
+        SourcesRegistry.instance().register(ConfSource)
+        yield ConfigLoaderImpl(create_config_search_path(f"{ConfSource.scheme()}://{CONF}"))
     finally:
         Singleton.set_state(state)
-
-
-@cache
-def define_source() -> Any:
-    """Hydra's source of files, for which libyaml parses each text once: ten times faster than PyYAML, the same values.
-
-    What isn't a mapping that libyaml can read goes Hydra's usual way, for its own error.
-    """
-    import yaml
-    from hydra._internal.core_plugins.file_config_source import FileConfigSource
-    from hydra.plugins.config_source import ConfigResult
-    from omegaconf import OmegaConf
-    from omegaconf._utils import get_yaml_loader
-    from yaml.constructor import SafeConstructor
-    from yaml.cyaml import CParser
-    from yaml.resolver import Resolver
-
-    class Loader(CParser, get_yaml_loader()):  # type: ignore[misc]
-        def __init__(self, text: str) -> None:
-            CParser.__init__(self, text)
-            SafeConstructor.__init__(self)
-            Resolver.__init__(self)
-
-    parse = cache(lambda text: Loader(text).get_single_data())  # of safe tags, as OmegaConf has them
-
-    class Source(FileConfigSource):
-        @staticmethod
-        def scheme() -> str:
-            return "conf"
-
-        def load_config(self, config_path: str) -> ConfigResult:
-            try:
-                text = (Path(self.path) / self._normalize_file_name(config_path)).read_text(encoding="utf-8")
-                header, read = self._get_header_dict(text[:512]), parse(text)
-            except (OSError, ValueError, yaml.YAMLError):
-                read = None
-            if not isinstance(read, dict):
-                return super().load_config(config_path)
-            return ConfigResult(self.provider, f"{self.scheme()}://{self.path}", OmegaConf.create(read), header)
-
-    return Source
 
 
 def _load(chosen: Sequence[Override], loader: Any, parsed: Sequence[Override]) -> DictConfig:

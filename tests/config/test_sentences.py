@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config.compose import compose_config, compose_mapping, validate
-from pipeline.config.loader import CONF, define_source
+from pipeline.config.conf_source import ConfSource
+from pipeline.config.loader import CONF
 from pipeline.errors import ConfigError
 
 
@@ -215,7 +216,7 @@ def test_libyaml_reads_what_omegaconf_reads(tmp_path: Path) -> None:
     text = f"# @package _global_\na: &x {scalars}\nb: {{<<: {{c: *x}}, 3: d}}\ne: |-\n  f\n"
     (tmp_path / "scalars.yaml").write_text(text, encoding="utf-8")
     for folder in (CONF, tmp_path):
-        source = define_source()("main", f"conf://{folder}")
+        source = ConfSource("main", f"conf://{folder}")
         for path in folder.rglob("*.yaml"):
             read = source.load_config(str(path.relative_to(folder))).config
             assert str(OmegaConf.to_container(read)) == str(OmegaConf.to_container(OmegaConf.load(path))), path

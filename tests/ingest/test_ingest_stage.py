@@ -295,7 +295,7 @@ def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsy
     for section, words in (
         (
             ball_section(ball_tables, probes=probes_config({"A": (7, 0.0), "B": (7, 90.0)})),
-            "machine.recordings.probes must use nodes 0 to 2 of the rotor, but got node 7",
+            "machine.recordings.probes.A must use nodes 0 to 2 of the rotor, but got node 7",
         ),
         (ball_section(ball_tables, runs=elsewhere), "machine.recordings.runs, run 'one', must use nodes 0 to 2"),
     ):
