@@ -36,7 +36,7 @@ STATEMENTS = {
     "methods": 570,
     "comparison": 147,
     "tuning": 552,
-    "reporting": 2479,
+    "reporting": 2481,
     "tracking": 411,
     "stages": 1207,
     "beside the rooms": 539,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18453, 14500),
+    "statements of pipeline/": (18455, 14500),
     "files": (266, 250),
     "classes": (328, 260),
     "is None, is not None": (340, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (120, 200),
-    "statements of tests/": (13024, 13000),
+    "statements of tests/": (13040, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (744, 380),
     "their files": (110, 75),

@@ -19,8 +19,8 @@ from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
 
-class _Loader(CParser, get_yaml_loader()):  # type: ignore[misc]
-    """Of safe tags, as OmegaConf has them."""
+class _Loader(CParser, get_yaml_loader()):  # type: ignore[misc]  # the base is what a function returns
+    """It knows safe tags alone, as OmegaConf's loader does."""
 
     def __init__(self, text: str) -> None:
         CParser.__init__(self, text)
@@ -38,7 +38,7 @@ class ConfSource(FileConfigSource):
 
     @staticmethod
     def scheme() -> str:
-        """Of its search path, ``conf://FOLDER``."""
+        """The search path is ``conf://FOLDER``."""
         return "conf"
 
     def load_config(self, config_path: str) -> ConfigResult:

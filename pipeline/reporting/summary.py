@@ -185,17 +185,16 @@ def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
     """Name the critical speeds with their decrements, and between which speeds they were sought.
 
     Those of so much damping that API 617 asks for no margin (:func:`pipeline.twin.modes.require_separation`) are named
-    apart: no peak of the vibration shows them.
+    apart.
     """
-    rpm, damped = _list_speeds(fit), [m for m in critical.values() if m["separation_margin_required_percent"] == 0]
-    listed = [
-        f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
-        for mode in critical.values()
-        if mode not in damped
-    ]
-    near = _join(f"{write_number(mode['rpm'], digits=2)}" for mode in damped)
-    rest = f"; critically damped, so without a peak: near {near} rpm" if damped else ""
-    return f"{_join(listed)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}{rest}"
+    rpm, sharp, damped = _list_speeds(fit), list[str](), list[str]()
+    for mode in critical.values():
+        if mode["separation_margin_required_percent"] == 0:
+            damped.append(show(mode, "rpm"))
+        else:
+            sharp.append(f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})")
+    rest = f"; critically damped (amplification factor below 2.5): {_join(damped)} rpm" if damped else ""
+    return f"{_join(sharp)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}{rest}"
 
 
 def describe_stability(stability: Mapping[str, Any]) -> str:

@@ -104,7 +104,7 @@ def become_silent() -> None:
 def import_mlflow() -> None:
     """So that :func:`track` finds it imported; what can't be imported is told with the record."""
     with suppress(Exception), quiet_mlflow(1.0):
-        from mlflow import MlflowClient, pyfunc  # noqa: F401
+        from mlflow import MlflowClient, pyfunc  # noqa: F401  # in time for :func:`track`
         from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore  # noqa: F401  # behind the client
 
 

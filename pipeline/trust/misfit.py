@@ -115,7 +115,7 @@ def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
     """How the fit of ``training.json`` or ``metrics.json`` follows its readings, for every line and page that says so.
 
     The ``distance`` at which they lie, whether ``neighbours`` correlate, whether model and noise ``explain`` them, and
-    how many lie ``far_off``. Of a loss that weighs no noise it is the distance alone, the residual.
+    how many lie ``far_off``. A loss that weighs no noise has the distance alone, the residual.
     """
     if "fit" not in training:
         if training.get("loss", 0.0) is None:

@@ -194,6 +194,9 @@ def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, caps
         out = folder / f"out {machine.stem}"
         assert main(["stage=ingest", given_by(machine), f"output='{out}'", "tracking=none"]) == 0
         vibration.append(pd.read_parquet(out / "vibration.parquet"))
+        said = capsys.readouterr().err
+        assert said.count("is read as") <= 1  # of the first file, which names the others
+        assert ("; so for 'first_disc.csv'; so for 'second_disc.csv'" in said) == ("is read as" in said)
     assert np.allclose(vibration[0]["amplitude_m"], vibration[1]["amplitude_m"], rtol=1e-9)
     assert np.allclose(vibration[0]["phase_deg"], vibration[1]["phase_deg"], atol=1e-6)
 
@@ -203,11 +206,11 @@ def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
     columns = {"n [1/min]": [600.0, 700.0], "A Amp": [1.0, 2.0], "A Phase": [3.0, 4.0], "note": [0, 0]}
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
     kind, guesses = recognize_recordings(tmp_path / "a.csv", tmp_path)
-    said = {key: guesses[key] for key in ("length", "amplitude", "phase", "phase_unit", "speed", "speeds")}
+    said = {key: guesses[key] for key in ("length", "amplitude", "phase", "phase_unit", "speed", "speeds", "baseline")}
     unknown = dict.fromkeys(("length", "amplitude", "phase", "phase_unit"), "???")
     assert (kind, said) == (
         "tables",
-        unknown | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}"},
+        unknown | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}", "baseline": '"???"'},
     )
     assert '"A": {node: 1, angle: 45 deg, columns: {amplitude: "A Amp", phase: "A Phase"}}' in guesses["probes"]
     assert "note" not in guesses["probes"]

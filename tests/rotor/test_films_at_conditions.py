@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pytest
 from conftest import refused
+from pydantic import ValidationError
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.quantities import Angle, Length, ModelledLoad
@@ -68,6 +70,11 @@ def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
         )
         listed = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)
         np.testing.assert_allclose(table.values[1, at], listed, rtol=1e-7, atol=1e-9 * size)
+
+
+def test_a_modelled_journal_turns_in_its_bore() -> None:
+    with pytest.raises(ValidationError, match="must be smaller than the journal's radius, but it is 60 mm"):
+        bearings({**SHORT, "radial_clearance": "60 mm", "oil_viscosity": "20 mPa s"})
 
 
 def test_what_follows_no_condition_is_the_same_at_all_of_them() -> None:

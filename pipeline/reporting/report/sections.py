@@ -58,7 +58,7 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     several = sum(map(len, shown.unknowns)) > 8  # more numbers than a paragraph can carry: the direct ones
     at = int(np.abs(shown.rpm - config.machine.prediction.speed_rpm).argmin())
     for b, (node, names) in enumerate(zip(shown.identified.nodes, shown.unknowns, strict=True)):
-        told = [name for name in names if not several or name[1] == name[2]]
+        told = [name for name in names if not several or name[1] == name[2]] or names
         for name in told:
             (scale, unit), place = UNITS[name[0]], (b, at, COEFFICIENTS.index(name))
             number = write_number(scale * float(shown.identified.values[place]), scale * float(shown.deviation[place]))
