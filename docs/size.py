@@ -51,7 +51,7 @@ BUDGETS = {
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (120, 200),
-    "statements of tests/": (13040, 13000),
+    "statements of tests/": (13042, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (744, 380),
     "their files": (110, 75),

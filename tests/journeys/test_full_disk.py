@@ -6,6 +6,7 @@ import errno
 import os
 import resource
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -32,11 +33,16 @@ from pipeline.stages.measurement import restore
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """The system refuses to let any file grow beyond ``size`` bytes: a full disk, for every library alike."""
+    """The system refuses to let any file grow beyond ``size`` bytes: a full disk, for every library alike.
+
+    Python keeps no bytecode meanwhile: it would believe the half of a file that a short write leaves.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
-        yield
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "dont_write_bytecode", True)
+            yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
