@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from benchmarks.machines import Machine, machine, refined
@@ -96,6 +97,47 @@ def endless(config: Config) -> FitSetup:
             }
         )
     )
+
+
+def _on_a_gpu(count: int) -> Times:
+    """Four steps of Adam and four of Levenberg-Marquardt, from seeds; both end at the same losses to 1e-8."""
+    import numpy as np
+    import torch
+
+    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
+    from pipeline.identification.training import Minimum, minimise
+
+    if not torch.cuda.is_available():
+        raise RuntimeError("torch sees no GPU here")
+    made = machine(f"experiment={_EXPERIMENT}", "machine.speeds.step_rpm=100")
+    setup, few = endless(made.config), {"steps": 4}
+    optimizer = setup.optimizer.model_copy(
+        update={name: getattr(setup.optimizer, name).model_copy(update=few) for name in ("adam", "levenberg_marquardt")}
+    )
+    setup = replace(setup, optimizer=optimizer)
+    prepared = prepare_residual(made.measurement, setup)
+    starts = torch.cat([initial_parameters(prepared, setup, seed) for seed in range(count)])
+    ends: dict[str, Minimum] = {}
+
+    def train(device: str) -> None:
+        on = replace(setup, training=setup.training.model_copy(update={"device": device}))
+        ends[device] = minimise(prepared.problem, starts, on, held_out=prepared.held_out)
+
+    train("cuda")  # the first call loads the GPU's libraries
+    times = in_turns(lambda: train("cuda"), lambda: train("cpu"), turns=1 if count > 100 else 9)
+    off = np.abs(ends["cuda"].loss / ends["cpu"].loss - 1).max()
+    if off > 1e-8:
+        raise RuntimeError(f"the losses of GPU and processor must agree to 1e-8, but differ by {off:.1e}")
+    return times
+
+
+for _count, _aim in ((1, 1.0), (100, 1.0), (10_000, 10.0)):
+    BENCHMARKS.add(
+        f"gpu_{_count}",
+        f"{_count} trainings of the network, 8 steps each, on a GPU",
+        "the same on one thread of the processor",
+        Aim(_aim, "at least"),
+    )(partial(_on_a_gpu, _count))
 
 
 @BENCHMARKS.add("ten_times_the_runs", "3 Jacobians with 30 runs", "3 Jacobians with 3 runs", Aim(1.2))

@@ -20,14 +20,14 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1758,
+    "config": 1761,
     "laws": 485,
     "rotor": 767,
     "data": 1136,
     "sweep": 249,
     "ingest": 1464,
     "problem": 1728,
-    "identification": 2683,
+    "identification": 2696,
     "evaluation": 224,
     "twin": 481,
     "balance": 686,
@@ -38,20 +38,20 @@ STATEMENTS = {
     "tuning": 552,
     "reporting": 2481,
     "tracking": 411,
-    "stages": 1207,
+    "stages": 1209,
     "beside the rooms": 539,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18455, 14500),
+    "statements of pipeline/": (18473, 14500),
     "files": (266, 250),
     "classes": (328, 260),
     "is None, is not None": (340, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (120, 200),
-    "statements of tests/": (13042, 13000),
+    "statements of tests/": (13055, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (744, 380),
     "their files": (110, 75),

@@ -198,6 +198,7 @@ class TrainingConfig(Section):
     holdout_range: tuple[RotorSpeed, RotorSpeed] | None = None  # rad/s, speeds that are predicted, not fitted
     holdout_operating: Conditions = Field(default_factory=dict)  # SI, conditions that are predicted, not fitted
     tolerance: Share
+    device: Literal["cpu", "cuda"] = "cpu"  # what is trained at once by a loss without a start of its own
 
     @rule
     def _leaves_training_speeds(self) -> Iterator[str]:

@@ -143,6 +143,11 @@ class Config(Section):
                 "robustness over seeds and guesses must have loss=residual or loss=preconditioned, but got "
                 "loss=response, which has a start of its own: use stage=robustness robustness=refits"
             )
+        if self.loss.kind == "response" and self.training.device == "cuda":
+            yield (
+                "training.device=cuda must go with loss=residual or loss=preconditioned, whose trainings are one "
+                "batch, but got loss=response, which solves the rotor on the processor: leave it out"
+            )
         if self.loss.kind != "response" and self.identify.model_parameters.deviations:
             yield (
                 "identify.model_parameters must come with loss=response, which fits them with the coefficients, but "

@@ -111,7 +111,8 @@ class CoefficientModel:
             fed.append(value)
             slopes.append(slope)
         if self.functions:
-            functions = torch.as_tensor(evaluate_functions(self.functions, self.n_functions, inputs[:, 0].numpy()))
+            speeds = inputs[:, 0].cpu().numpy()
+            functions = torch.as_tensor(evaluate_functions(self.functions, self.n_functions, speeds))
             beside = functions.expand(*parameters.shape[:-1], *functions.shape)
             fed[-1] = torch.cat([fed[-1], beside], dim=-1) if self.hidden else beside
         fed[-1] = self._with_trend(fed[-1], inputs)

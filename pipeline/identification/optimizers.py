@@ -40,6 +40,10 @@ class LeastSquares(Protocol):
         """The problem of these of the G starts (their indices), by default the same for all of them."""
         return self
 
+    def on(self, device: str) -> LeastSquares:
+        """The problem with its tensors on this device, by default where it is made."""
+        return self
+
     def rounding(self) -> torch.Tensor:
         """(M,) what the rounding of the data may make of a loss of zero: losses below it are equal."""
         import torch

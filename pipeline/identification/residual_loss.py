@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -98,6 +98,13 @@ class ResidualProblem(LeastSquares):
             )
             for m in range(len(self.scale))
         )
+
+    def on(self, device: str) -> ResidualProblem:
+        """The problem with its tensors on this device."""
+        import torch
+
+        tensors: dict[str, Any] = {k: value for k, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        return replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
 
     def per_speed(self, regularisation: float) -> tuple[np.ndarray, np.ndarray]:
         """The regularised pseudo-inverse of A (M, S, U, U) and the answer of each speed (M, S, U), in scales.

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.coefficients import is_direct
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
+from pipeline.errors import ConfigError
 from pipeline.identification import optimizers
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.problem.measurement import Guess
@@ -190,7 +191,7 @@ class _Monitor:
         if self.progress is not None:
             self.progress(self.phase, self.step - self.phase_start + 1, self.total, loss)
         if self.watch is not None:
-            self.watch(parameters, self.best, self.phase, self.step - self.phase_start + 1, self.total)
+            self.watch(parameters.cpu(), self.best.cpu(), self.phase, self.step - self.phase_start + 1, self.total)
 
 
 _MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
@@ -213,7 +214,35 @@ def minimise(
     """Train G starting points (G, M, Q) at once; ``held_out`` chooses the best state. Ctrl-C ends it with that.
 
     ``together``: by Levenberg-Marquardt steps alone, until none of the trainings predicts better what it holds out.
+    Raises ConfigError for more trainings than a GPU has memory for.
     """
+    from contextlib import nullcontext
+
+    import torch
+
+    device = setup.training.device
+    # What the steps make lies there, too. On the processor it does so anyway: saying it would slow each call of torch.
+    try:
+        with nullcontext() if device == "cpu" else torch.device(device):
+            judge = held_out and held_out.on(device)
+            return _minimise(problem.on(device), parameters.to(device), setup, judge, progress, watch, together)
+    except torch.OutOfMemoryError:
+        raise ConfigError(
+            f"all trainings of a batch must have room in the GPU's memory, but {len(parameters)} have not: train fewer "
+            "at once (robustness.count), or leave training.device out"
+        ) from None
+
+
+def _minimise(
+    problem: LeastSquares,
+    parameters: torch.Tensor,
+    setup: FitSetup,
+    held_out: LeastSquares | None,
+    progress: Progress | None,
+    watch: Watch | None,
+    together: bool,
+) -> Minimum:
+    """As :func:`minimise`, where the tensors are."""
     monitor = _Monitor(
         problem=problem,
         held_out=held_out,
@@ -233,7 +262,7 @@ def minimise(
     except KeyboardInterrupt:
         interrupted = True
     return Minimum(
-        parameters=monitor.best,
+        parameters=monitor.best.cpu(),
         outcomes=_outcomes(monitor, interrupted),
         loss=root_mean_square(monitor.best_score if held_out is None else problem.loss(monitor.best)),
         held_out_loss=None if held_out is None else root_mean_square(monitor.best_score),
@@ -245,7 +274,7 @@ def minimise(
 
 def root_mean_square(losses: torch.Tensor) -> np.ndarray:
     """(G,) over the members of losses (G, M)."""
-    return np.asarray(losses.square().mean(dim=1).sqrt().numpy())
+    return np.asarray(losses.square().mean(dim=1).sqrt().cpu().numpy())
 
 
 def _outcomes(monitor: _Monitor, interrupted: bool, diverged_factor: float = 10.0) -> tuple[Outcome, ...]:
@@ -253,8 +282,8 @@ def _outcomes(monitor: _Monitor, interrupted: bool, diverged_factor: float = 10.
     losses = monitor.last_loss
     if interrupted:
         return (Outcome.INTERRUPTED,) * len(losses)
-    diverged = (~losses.isfinite() | (losses > diverged_factor * monitor.first_loss)).any(dim=1).numpy()
-    converged = (monitor.stale >= monitor.patience).all(dim=1).numpy()  # all members
+    diverged = (~losses.isfinite() | (losses > diverged_factor * monitor.first_loss)).any(dim=1).cpu().numpy()
+    converged = (monitor.stale >= monitor.patience).all(dim=1).cpu().numpy()  # all members
     return tuple(
         Outcome.DIVERGED if d else Outcome.CONVERGED if c else Outcome.BUDGET_SPENT
         for d, c in zip(diverged, converged, strict=True)

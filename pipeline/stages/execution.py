@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.config.schema import Config
+from pipeline.errors import ConfigError
 from pipeline.processes import settle_torch
 from pipeline.reporting.console import warn
 from pipeline.stages.analysis import Analysis
@@ -22,8 +23,15 @@ if TYPE_CHECKING:
 
 
 def use_threads(config: Config) -> None:
-    """Let torch use the configured number of threads."""
+    """Let torch use the configured number of threads. Raises ConfigError for a device that it does not see."""
     settle_torch(config.threads)
+    import torch
+
+    if config.training.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            f"training.device=cuda must have a GPU that torch sees, but torch {torch.__version__} sees none: install "
+            "its CUDA build by `make env TORCH=cuda` on a machine with a GPU, or leave it out"
+        )
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from training import CHAINS, a_model, asked, minimised, optimizer, setup_of, sta
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.identification import OptimizerConfig
-from pipeline.errors import DataError, IdentifiabilityError
+from pipeline.errors import ConfigError, DataError, IdentifiabilityError
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model import CoefficientModel
@@ -28,6 +28,7 @@ from pipeline.identification.residual_loss import (
 )
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
 from pipeline.identification.training import FitSetup, Minimum, Outcome
+from pipeline.stages.execution import use_threads
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -42,6 +43,28 @@ def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerC
         _, alone = trained(asked(ball), setup, [guess])
         torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-12, abs=1e-14)
+
+
+def test_a_named_device_trains_as_the_default(monkeypatch: pytest.MonkeyPatch, hydrostatic: Machine) -> None:
+    """``training.device=cuda`` trains on a GPU what the processor would (1e-8), and is refused where torch sees none.
+
+    Without a GPU here, the processor under another name takes the same path, to the same bits.
+    """
+    at_hand = torch.cuda.is_available()
+    setup = setup_of(hydrostatic, optimizer(adam=4, lm=4))
+    prepared = prepare_residual(asked(hydrostatic), setup)
+    start = starts(prepared, setup, [1e4, 1e6])
+    default, named = (
+        minimised(prepared, start, replace(setup, training=setup.training.model_copy(update={"device": name})))
+        for name in ("cpu", "cuda" if at_hand else "cpu:0")
+    )
+    torch.testing.assert_close(named.parameters, default.parameters, rtol=1e-8 if at_hand else 0, atol=0)
+    assert (named.parameters.device.type, named.outcomes) == ("cpu", default.outcomes)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match=r"training.device=cuda must have a GPU .* `make env TORCH=cuda`"):
+        use_threads(compose_config(["experiment=hydrostatic_stiffness", "training.device=cuda"]))
+    with pytest.raises(ConfigError, match=r"training.device=cuda must go with loss=residual"):
+        compose_config(["experiment=realistic", "training.device=cuda"])
 
 
 def three_seeds(prepared: ResidualTraining, setup: FitSetup) -> tuple[Minimum, list[Minimum]]:
