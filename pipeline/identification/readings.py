@@ -25,6 +25,7 @@ from pipeline.problem.response import (
     impedance_change,
     respond,
 )
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
@@ -363,3 +364,21 @@ def sensor_model(measurement: Measurement) -> SensorModel:
 
     whole = add_baseline(measurement)
     return SensorModel(measurement, whole, tuple(block.converted(torch.as_tensor) for block in whole.response.blocks))
+
+
+def read_answer(measurement: Measurement, bearings: BearingTable, unbalance: np.ndarray | None) -> np.ndarray:
+    """(S, P, R) m as the data set has them, of fitted coefficients and a residual unbalance (N,) kg m.
+
+    ``measurement`` is at the fitted model parameters: a run has the bearings that these give it, where bearings drift.
+    """
+    import torch
+
+    if all(parameter.kind != "bearing_drift" for parameter in measurement.parameters):
+        return measurement.response.predict(bearings, unbalance)
+    unknowns, result = measurement.unknowns, np.empty_like(measurement.dataset.displacement)
+    model, planes = sensor_model(measurement), np.zeros(len(unknowns.planes)) if unbalance is None else unbalance
+    values = torch.as_tensor(unknowns.to_active(unknowns.leading(bearings.values)))
+    shown = model.predict(values[None], torch.as_tensor(planes.astype(complex))[None], model.solved_at[None])
+    for block, each in zip(measurement.response.blocks, shown, strict=True):
+        result[..., block.runs] = each[0].numpy()
+    return result

@@ -184,6 +184,13 @@ class Panel:
         """Whether the panel is a polar plot."""
         return not np.isnan(self.polar)
 
+    @property
+    def bare_lag(self) -> float:
+        """Where a polar plot has room for its scale, deg of lag: between two spokes, away from the curves."""
+        lags = np.arange(22.5, 360, 45)
+        near = [np.maximum(np.cos(np.radians(lags[:, None] - c.x)), 0) ** 4 @ c.y for c in self.axes[0].curves]
+        return float(lags[np.sum(near, axis=0).argmin()])
+
 
 def list_keys(panels: Sequence[Panel]) -> list[Curve]:
     """The curves of panels that a legend names, each label once, the first of them."""

@@ -22,6 +22,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.files import hash_file
 from pipeline.identification.identified import Answer
+from pipeline.identification.readings import read_answer
 from pipeline.ingest.conventions import SourceUnits
 from pipeline.ingest.full_spectrum import FullSpectra
 from pipeline.problem.measurement import Measurement
@@ -81,8 +82,8 @@ class FitContent:
 
     @cached_property
     def predicted(self) -> np.ndarray:
-        """(S, P, R) complex, m."""
-        return self.answer.measurement.response.predict(self.answer.table, self.answer.unbalance)
+        """(S, P, R) complex, m, with the bearings of each run where they drift."""
+        return read_answer(self.answer.measurement, self.answer.table, self.answer.unbalance)
 
     @cached_property
     def noise(self) -> np.ndarray:

@@ -118,7 +118,7 @@ def list_bearings(caption: str, bearings: Mapping[str, Mapping[str, Any]]) -> Ta
             [
                 f"node {node}",
                 bearing["verdict"],
-                f"{_span(bearing['rank'])} of {bearing['unknowns']}",
+                f"{_span(bearing['rank'])}\u00a0of\u00a0{bearing['unknowns']}",
                 f"{_span(bearing['orbit_rank'])} of 2" if told else "",
                 *(write_number(bearing["condition_number"][key], digits=3) for key in ("median", "max")),
                 f"{coefficient} {size}",

@@ -179,7 +179,7 @@ def list_parameters(
                 unit,
                 f"0 +- {write_number(factor * prior, digits=3)}",
                 write_number(factor * value, factor * number["deviation"]),
-                write_number(value / prior, digits=2),
+                write_number(round(value / prior, 2) + 0.0, digits=2),
                 remark,
             ]
         )

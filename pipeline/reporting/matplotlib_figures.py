@@ -162,6 +162,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
         ax.set_title(panel.title, fontsize=8, loc="left", x=-0.3, y=1.04)
         ax.tick_params(labelsize=6)
         ax.yaxis.set_major_locator(MaxNLocator(4))
+        ax.set_rlabel_position(panel.bare_lag)
         return [ax]
     shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()

@@ -199,13 +199,14 @@ def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
 
 def describe_stability(stability: Mapping[str, Any]) -> str:
     """Say whether the identified machine is stable, and the smallest decrement."""
-    growth = show(stability, "largest_growth")
+    growth, least = show(stability, "largest_growth"), stability["smallest_logarithmic_decrement"]
+    where = " of a mode that hardly oscillates, or lies above twice the top speed" if (least or 0.0) > 0 else ""
     verdict = {
         Stability.STABLE: "stable at all speeds",
-        Stability.NOT_TOLD: f"at the edge of stability, growth {growth} 1/s: not told from none",
-        Stability.UNSTABLE: f"UNSTABLE, growth {growth} 1/s",
+        Stability.NOT_TOLD: f"at the edge of stability, growth {growth} 1/s{where}: not told from none",
+        Stability.UNSTABLE: f"UNSTABLE, growth {growth} 1/s{where}",
     }[Stability(stability["verdict"])]
-    if stability["smallest_logarithmic_decrement"] is None or stability["at_rpm"] is None:
+    if least is None or stability["at_rpm"] is None:
         return f"{verdict}; no whirling mode below twice the top speed"
     decrement = show(stability, "smallest_logarithmic_decrement")
     return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"

@@ -209,7 +209,8 @@ def list_critical(critical: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
 
 def show(entry: Mapping[str, Any], key: str) -> str:
     """A number with its deviation; "none" where there is none."""
-    return "none" if entry[key] is None else write_number(entry[key], entry.get(f"{key}_std"), 5)
+    digits = 2 if key.endswith("required_percent") else 5
+    return "none" if entry[key] is None else write_number(entry[key], entry.get(f"{key}_std"), digits)
 
 
 def _draw(name: str, x: np.ndarray, y: np.ndarray, colour: str, deviation: np.ndarray = NOTHING) -> Curve:

@@ -27,6 +27,7 @@ from pipeline.trust.verdict import (
 )
 
 AS_FELT = "the bearings as the shaft feels them (film and support)"
+NO_RUN = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Judgement:
             return ""
         why = gravest([*self.common, *(reason for judged in self.verdicts for reason in judged.reasons)])
         held_out = f" ({'; '.join(self.held_out)})" if self.held_out else ""
-        return f"THE MODEL IS REJECTED, claim nothing from this{held_out}: {why[0].sentence if why else ''}"
+        what = "THE MODEL IS REJECTED" if self.common else "NO COEFFICIENT CAN BE USED"
+        return f"{what}, claim nothing from this{held_out}: {why[0].sentence if why else ''}"
 
     def record(self) -> dict[str, Any]:
         """For JSON: ``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null."""
@@ -86,7 +88,7 @@ def judge(
         reasons, checks = judge_coefficient(evidence, determined, b, c)
         reasons = gravest([*common, *(_add_step(reason, gains, b, c, nodes[b]) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
-    held_out = tuple(describe_held_out(kind, entry, 3) for kind, entry in _pick_held_out(evidence).items())
+    held_out = tuple(describe_held_out(kind, entry) for kind, entry in _pick_held_out(evidence).items())
     return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt)
 
 
@@ -115,7 +117,7 @@ def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: fl
     if reason.next:
         return reason
     run, gain = gains.best(b, c)
-    step = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
+    step = NO_RUN
     if gain >= worth:
         step = (
             f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls {gain:.2g} "
@@ -171,14 +173,18 @@ def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
 
 
 def _sum_up(verdicts: Sequence[CoefficientVerdict], common: Sequence[Reason] = ()) -> dict[str, Any]:
-    """Verdict, reason and next step of a bearing or the whole; reasons that are ``common`` come first."""
+    """Verdict, reason and next step of a bearing or the whole; reasons that are ``common`` come first.
+
+    Where no run helps the worst coefficient, one that helps another is the next step.
+    """
     good = sum(judged.verdict is Verdict.GOOD for judged in verdicts)
     bad = sorted(verdicts, key=lambda judged: -ORDER.index(judged.verdict))[:1]
     reasons = [*gravest(common), *(reason for judged in bad for reason in gravest(judged.reasons))]
+    steps = [step for step in (*(reason.next for reason in reasons), *(judged.next for judged in verdicts)) if step]
     return {
         "verdict": _join(verdicts).value,
         "reason": " ".join([f"{good} of {len(verdicts)} coefficients are good.", *(r.sentence for r in reasons[:1])]),
-        "next": next((reason.next for reason in reasons if reason.next), None),
+        "next": next((step for step in steps if step != NO_RUN), steps[0] if steps else None),
     }
 
 

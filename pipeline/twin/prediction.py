@@ -24,6 +24,7 @@ from pipeline.data.vibration_files import write_range
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import finite
+from pipeline.identification.readings import read_answer
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.model_parameters import of_machine_alone
@@ -176,7 +177,7 @@ def compare_held_out(
     ``measurement`` is at the fitted model parameters, ``bearings`` and the residual ``unbalance`` (N,) kg m are fitted.
     """
     dataset = measurement.dataset
-    predicted = np.where(dataset.present[:, None], measurement.response.predict(bearings, unbalance), 0.0)
+    predicted = np.where(dataset.present[:, None], read_answer(measurement, bearings, unbalance), 0.0)
     measured, out = dataset.displacement, held_out_runs(measurement, training)
     fitted = np.setdiff1d(np.arange(len(dataset.runs)), out)
     compared = {}

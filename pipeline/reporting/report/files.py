@@ -32,7 +32,7 @@ from pipeline.reporting.blocks import (
 )
 from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image
 
-_NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?")
+_NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?( \*)?")
 """Columns of these are aligned to the right."""
 _FOLDER = Path(__file__).parent
 _SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
@@ -200,7 +200,7 @@ def _describe_look(curve: Curve) -> dict[str, Any]:
 
 def _describe_polar(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     angles = {"rotation": panel.polar, "direction": "clockwise", "gridcolor": "#e4e4e4", "ticksuffix": "°", "dtick": 45}
-    radii = {"gridcolor": "#e4e4e4", "angle": 0, "nticks": 4, "tickfont": {"size": 9}}
+    radii = {"gridcolor": "#e4e4e4", "angle": panel.polar - panel.bare_lag, "nticks": 4, "tickfont": {"size": 9}}
     traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
     return traces, {"polar": {"angularaxis": angles, "radialaxis": radii, "bgcolor": "#fff"}}
 

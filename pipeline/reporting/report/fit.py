@@ -190,9 +190,9 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     rows = [
         [
             what,
-            write_number(entry["model_error_percent"], digits=3),
+            write_number(entry["model_error_percent"], digits=2),
             entry["rival"],
-            write_number(entry["rival_error_percent"], digits=3),
+            write_number(entry["rival_error_percent"], digits=2),
         ]
         for what, entry in content.files.get("metrics", {}).get("held_out", {}).items()
     ]

@@ -217,10 +217,12 @@ def _draw_polar(content: ReportContent) -> Figure:
     panels = []
     for probe in content.shown_probes[:4]:
         curves: list[Curve] = []
-        for run, points, look in content.traces():
-            vectors = probe.read(content.dataset.displacement)[points, run]
+        seen, traces = probe.read(content.dataset.displacement), list(content.traces())
+        largest = max(traces, key=lambda trace: float(np.abs(seen[trace[1], trace[0]]).max()))
+        for run, points, look in traces:
+            vectors = seen[points, run]
             curves.append(Curve(-np.degrees(np.angle(vectors)), np.abs(vectors), **look))
-            if len(curves) == 1:
+            if run == largest[0] and points is largest[1]:
                 ticks = _space_evenly(vectors)
                 at, texts = vectors[ticks], [f"{content.rpm[s]:.0f}" for s in points[ticks]]
                 curves.append(
@@ -238,9 +240,11 @@ def _draw_polar(content: ReportContent) -> Figure:
 
 
 def _space_evenly(vectors: np.ndarray) -> np.ndarray:
-    """Indices of five points that lie evenly along the path of ``vectors`` (S,)."""
+    """Indices of up to five points that lie evenly along the path of ``vectors`` (S,), none at another."""
     path = np.r_[0.0, np.cumsum(np.abs(np.diff(vectors)))]
-    return np.unique(np.searchsorted(path, np.linspace(0, path[-1], 5)).clip(max=len(path) - 1))
+    at = np.unique(np.searchsorted(path, np.linspace(0, path[-1], 5)).clip(max=len(path) - 1))
+    near = np.tril(np.abs(vectors[at][:, None] - vectors[at]) < 0.2 * np.abs(vectors).max(), -1)
+    return at[~near.any(axis=1)]
 
 
 def _draw_orbits(content: ReportContent) -> list[Figure]:

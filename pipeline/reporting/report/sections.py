@@ -22,7 +22,7 @@ from pipeline.reporting.report.measured import describe_machine, describe_measur
 from pipeline.reporting.report.twin import describe_modes, describe_response
 from pipeline.reporting.summary import describe_data, describe_stability, draw_kind, list_critical_speeds
 from pipeline.reporting.twin import summarize_modes
-from pipeline.trust.judgement import AS_FELT
+from pipeline.trust.judgement import AS_FELT, NO_RUN
 from pipeline.write_numbers import write_number
 
 
@@ -77,10 +77,16 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
         entry["next"] for entry in (machine, *content.files.get("verdicts", {}).get("bearings", ())) if entry["next"]
     )
     rows: list[list[Cell]] = [
-        ["What was asked?", f"{config.description}. Data: {describe_data(content, fit)}."],
+        [
+            "What was asked?",
+            f"{config.description[:1].upper()}{config.description[1:]}. Data: {describe_data(content, fit)}.",
+        ],
         ["What is the answer?", answer],
         ["What may be relied on?", said if machine["verdict"] == "good" else Mark("warning", said)],
-        ["What is to be done next?", " ".join(steps) or "These data ask for nothing more."],
+        [
+            "What is to be done next?",
+            " ".join(step for step in steps if step != NO_RUN or len(steps) == 1) or "These data ask for nothing more.",
+        ],
     ]
     caption = "Identified coefficients over the speed; the sections below have each with its band and its reasons."
     figure = Figure("answer", caption, [replace(draw_kind(shown, letter, fit.state), legend=False) for letter in "kc"])
@@ -106,6 +112,8 @@ def describe_verdicts(content: ReportContent) -> list[Block]:
     return [
         *gaps,
         _list_verdicts("Bearings", judged["bearings"]),
+        *["Percentages are of the coefficient; of a cross-coupled one below a tenth of the direct ones, of that tenth."]
+        * any(entry["coefficient"][1] != entry["coefficient"][2] for entry in every),
         *(Mark("warning", f"Of all coefficients: {reason}") for reason in common),
         _list_verdicts("Coefficients", rest),
     ]

@@ -27,6 +27,7 @@ from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.summary import describe_stability
 from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
+from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import write_number
 
@@ -43,11 +44,11 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
     text = (
         f"The identified machine is {describe_stability(stability)} ({_name_range(rpm)}{fit.state}, modes up to twice "
-        f"the top speed); the largest growth rate is {growth} 1/s."
-    )
-    text += (
-        " A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 one "
-        "with an amplification factor below 2.5 is critically damped. "
+        f"the top speed)"
+        + f"; the largest growth rate is {growth} 1/s"
+        * (stability["verdict"] == Stability.STABLE)
+        + ". A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 "
+        "one with an amplification factor below 2.5 is critically damped. "
         f"Separation margins are from {write_number(running, digits=6)} rpm, the speed of the prediction, in percent "
         "of it."
     )
