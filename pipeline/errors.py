@@ -9,6 +9,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 
 class PipelineError(Exception):
@@ -49,9 +50,19 @@ def without_password(text: str) -> str:
 def nearest(name: str, candidates: Iterable[str]) -> str:
     """The words that follow an unknown name: the nearest candidate, and all of them."""
     known = sorted(candidate if len(candidate) <= 40 else f"{candidate[:37]}..." for candidate in candidates)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f"did you mean '{close[0]}'? " if close else ""
+    lower = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    hint = f"did you mean '{lower[close[0]]}'? " if close else ""
     return f"{hint}(known: {', '.join(known)})"
+
+
+def name_beside(path: Path) -> str:
+    """What follows a path that is no file: the nearest file beside it, where one is near."""
+    if path.is_dir():
+        return ": name a file in it"
+    beside = [other.name for other in path.parent.glob("*")] if path.parent.is_dir() else []
+    hint = nearest(path.name, beside).partition("(known")[0].strip()
+    return f": {hint}" if hint else ""
 
 
 # --- the end of a command ----------------------------------------------------------------------------

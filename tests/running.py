@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -98,3 +99,15 @@ def at_night(test: Any, names: str, values: Iterable[object], **others: Any) -> 
     night.__annotations__ = test.__annotations__
     night.pytestmark = [m for m in test.pytestmark if m.name != "parametrize" or m.args[0] != names]
     return pytest.mark.parametrize(names, values, **others)(night)
+
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+NO_BROWSER = "no Chromium here (apt-get install chromium): what it would show is checked without one elsewhere"
+
+
+def open_in_browser(address: str, *flags: str) -> tuple[str, list[str]]:
+    """What a page has become in headless Chromium, and what its scripts said."""
+    flags += ("--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--virtual-time-budget=60000")
+    command = [str(BROWSER), *flags, "--dump-dom", address]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]

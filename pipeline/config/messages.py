@@ -25,6 +25,7 @@ def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], mo
     wrong_inside = {item["loc"][:n] for item in errors for n in range(len(item["loc"]))}
     # A list whose items are wrong is "too short", since none of them counts.
     errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside]
+    errors.sort(key=lambda item: item["type"] != "extra_forbidden")  # what is misspelt is why another is missing
     lines = list(dict.fromkeys(_explain(item, mapping, model) for item in errors))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
     machine = mapping.get("machine")

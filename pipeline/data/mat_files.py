@@ -15,7 +15,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from pipeline.errors import DataError, nearest
+from pipeline.errors import DataError, name_beside, nearest
 from pipeline.processes import ask_aside
 
 _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
@@ -24,9 +24,8 @@ _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
 def require_file(path: Path) -> None:
     """Raise DataError where there is no such file, with the nearest of those beside it."""
     if not path.is_file():
-        beside = [other.name for other in path.parent.glob("*")] if path.parent.is_dir() else []
-        hint = nearest(path.name, beside).partition("(known")[0].strip()
-        raise DataError(f"'{path}' must exist, but there is no such file{hint and ': '}{hint}")
+        what = "it is a folder" if path.is_dir() else "there is no such file"
+        raise DataError(f"'{path}' must exist, but {what}{name_beside(path)}")
 
 
 @contextmanager

@@ -65,6 +65,11 @@ def read_table(
     """
     names, table, first, decimal = _read_any(path, columns, text)
     counts = Counter(names)
+    if text.delimiter and len(names) == 1 < len(columns):
+        raise DataError(
+            f"'{path}' must have {len(columns)} columns, but '{text.delimiter}' does not part its header: leave csv: "
+            "delimiter out, it is recognised"
+        )
     require_names(path, "column", columns, names)
     if not table or not len(table[0]):
         raise DataError(f"'{path}' must have at least one row, but it has none")
@@ -126,6 +131,8 @@ def _read_any(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table
     read, *kind = _READERS.get(
         path.suffix.lower(), (_read_csv, "CSV table", f"its format can be stated: csv: {stated}")
     )
+    if text.sheet and read is not _read_excel:
+        raise DataError(f"'{path}' must be a workbook, since it has sheet: {text.sheet}, but is none: leave sheet out")
     with open_measured(path, *kind):
         return read(path, columns, text)
 
@@ -142,6 +149,7 @@ def _to_numbers(path: Path, name: str, column: Any, kind: str, first: int, decim
         raise DataError(
             f"'{path}' must have finite numbers in the column '{name}', but row {bad[0] + first} has {column[bad[0]]!r}"
             + (f" ({len(bad)} rows in all)" if len(bad) > 1 else "")
+            + ": correct it, or leave the row out"
         )
     return values
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -79,6 +81,35 @@ def note_whirl(dataset: VibrationDataset) -> list[str]:
                 f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
                 "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
                 "probes' angles"
+            )
+    return notes
+
+
+def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:
+    """A sentence for each pair of runs that state the same weights and whose readings are no repetition, or that state
+    others and have the same readings.
+
+    Readings of a run that was repeated differ by the share ``repeated`` at most (median).
+    """
+    stated = {
+        r: frozenset(replace(excitation, run="") for excitation in dataset.excitation_of(r) if excitation.magnitude)
+        for r in range(len(dataset.runs))
+    }
+    notes = []
+    for a, b in combinations([r for r, acting in stated.items() if acting], 2):
+        seen = (dataset.displacement[..., [a, b]] != 0).all(axis=-1)
+        first, second = dataset.displacement[seen, a], dataset.displacement[seen, b]
+        off = float(np.median(np.abs(first - second) / np.abs(first))) if seen.any() else 0.0
+        if stated[a] == stated[b] and off > repeated:
+            notes.append(
+                f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}' state the same weights, but their readings differ "
+                f"by {100 * off:.2g} % (median): correct the weight or the file of one; if one repeats the other, the "
+                "machine changed between them"
+            )
+        if stated[a] != stated[b] and seen.any() and off == 0:
+            notes.append(
+                f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}' have the same readings, but state other weights: "
+                "correct the file of one"
             )
     return notes
 

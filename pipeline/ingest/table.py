@@ -6,6 +6,7 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -103,6 +104,10 @@ class TableRecordingsConfig(MeasuredConfig):
                 pair = run.columns.get(name) or probe.columns
                 if pair and pair.amplitude == pair.phase:
                     yield f"probe '{name}' must have another column of phases than '{pair.amplitude}', but has none"
+            pairs = [run.columns.get(name) or probe.columns for name, probe in self.probes.items()]
+            for column, times in Counter(pair.amplitude for pair in pairs if pair).items():
+                if times > 1:
+                    yield f"each probe must have columns of its own, but {times} have '{column}': correct one"
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
@@ -190,7 +195,7 @@ def _make_track(
     if (amplitude < 0).any():
         raise DataError(
             f"{where} must have amplitudes of zero or more in the column '{pair.amplitude}', but got "
-            f"{amplitude.min():g}"
+            f"{amplitude.min():g}: write it positive, with its phase turned by 180 deg"
         )
     angle = np.radians(phase) if said.phase_unit == "deg" else phase
     order, size = to_motion(said.unit, config.probes[probe].scale)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
-from pipeline.errors import ConfigError, nearest
+from pipeline.errors import ConfigError, name_beside, nearest
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import RotorModel
@@ -186,6 +186,7 @@ def read_rotor_file(file: Path) -> Any:
     if not file.is_file():
         raise ConfigError(
             f"machine.rotor.file must be a rotor saved by ROSS (.toml or .json), but there is no file '{file}'"
+            + name_beside(file)
         )
     try:
         with warnings.catch_warnings():

@@ -8,7 +8,7 @@ from pipeline.data.tables import read_marks
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
 from pipeline.ingest.dataset import read_measured_runs
-from pipeline.ingest.plausibility import note_casing, note_size, note_whirl, require_clearance
+from pipeline.ingest.plausibility import note_alike, note_casing, note_size, note_whirl, require_clearance
 from pipeline.ingest.records import to_dataset
 from pipeline.problem.configured import load_known
 from pipeline.reporting.console import say, warn
@@ -91,6 +91,7 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
         *note_casing(recordings.probes, rotor.bearing_nodes, rotor.n_nodes),
         *measured.notes,
         *note_whirl(measured.recorded),
+        *note_alike(measured.dataset),
     ]
     notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

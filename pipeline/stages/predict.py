@@ -60,7 +60,7 @@ def run(analysis: Analysis) -> StageOutput:
             for direction, e in zip("xy", error.T, strict=True)
         }
     summed = superpose_unseen(config.machine, measurement, twin)
-    if summed is not None and "modelled" in vibration:
+    if not isinstance(summed, str) and "modelled" in vibration:
         truth = vibration["modelled"].displacement
         off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
         summary["influence_coefficients"] = {"error_percent": off}
@@ -79,14 +79,10 @@ def run(analysis: Analysis) -> StageOutput:
     return StageOutput(summary, restore(analysis).tags, written)
 
 
-def _say_superposed(config: Config, summed: np.ndarray | None, summary: Mapping[str, Any], at: int) -> None:
+def _say_superposed(config: Config, summed: np.ndarray | str, summary: Mapping[str, Any], at: int) -> None:
     beside = f"{config.name}: influence coefficients (sums of the runs, without a bearing model)"
-    if summed is None:
-        conditions = "conditions and speeds" if "operating" in summary else "speeds"
-        say(
-            f"{beside} have no answer: the unbalance is no sum of the runs', no probes show the node, or not all runs "
-            f"were measured at these {conditions}"
-        )
+    if isinstance(summed, str):
+        say(f"{beside} have no answer: {summed}")
         return
     size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
     off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())

@@ -127,23 +127,25 @@ def _truth_at(
     return load_modelled_bearings(machine.rotor, machine.bearings, speeds, beside)
 
 
-def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twin) -> np.ndarray | None:
+def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twin) -> np.ndarray | str:
     """(S, 2) complex, m: x and y of the prediction's node from the runs alone, without a bearing model.
 
-    None where no sum of the runs is the unbalance, no probes show the node, or not all runs were measured at the
+    Why not, where no sum of the runs is the unbalance, no probes show the node, or not all runs were measured at the
     conditions of the prediction, at every speed of the ``twin``.
     """
     dataset, node = measurement.dataset, machine.prediction.node
     mask = mask_state(dataset.operating, twin.operating) & dataset.present.all(axis=1)
     if not np.array_equal(dataset.speeds[mask], twin.systems["identified"].speeds):
-        return None
+        return f"not all runs were measured at {'these conditions and speeds' if twin.operating else 'these speeds'}"
     dataset = dataset.at(mask)
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
     shares = find_shares(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
-    if shares is None or not all(len(row) for row in rows):
-        return None
+    if not all(len(row) for row in rows):
+        return f"no probes show x and y of node {node}"
+    if shares is None:
+        return "the unbalance is no sum of the runs' unbalances"
     return (dataset.displacement @ shares) @ resolution[np.concatenate(rows)].T
 
 

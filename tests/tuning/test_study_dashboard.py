@@ -9,13 +9,13 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-from running import FEW_SPEEDS
+from running import BROWSER, FEW_SPEEDS, NO_BROWSER, ROOT, open_in_browser
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -70,21 +70,16 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Studied:
 Data = Callable[[str], Any]
 
 
-@pytest.fixture
-def dashboard(studied: Studied, tmp_path: Path) -> Iterator[Data]:
-    """What the API of ``optuna-dashboard URL`` answers, as the last line of ``stage=tune`` says."""
+@contextmanager
+def serve(storage: str, tmp_path: Path) -> Iterator[str]:
+    """The address of ``optuna-dashboard URL``, as the last line of ``stage=tune`` says."""
     with closing(socket.create_server(("127.0.0.1", 0))) as listening:
         port = listening.getsockname()[1]
     program = Path(sys.executable).with_name("optuna-dashboard")
-    command = [program, studied.config.tuning.storage, "--host", "127.0.0.1", "--port", str(port)]
-
-    def data(path: str) -> Any:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/{path}", timeout=30) as answer:
-            return json.load(answer)
+    command = [program, storage, "--host", "127.0.0.1", "--port", str(port)]
 
     def answers() -> bool:
-        with suppress(OSError):
-            data("studies")
+        with suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/api/studies", timeout=30):
             return True
         assert process.poll() is None, (tmp_path / "log").read_text()
         return False
@@ -93,10 +88,31 @@ def dashboard(studied: Studied, tmp_path: Path) -> Iterator[Data]:
         process = subprocess.Popen(command, env=os.environ | {"HOME": str(tmp_path)}, stdout=log, stderr=log)
     try:
         wait_until(answers)
-        yield data
+        yield f"http://127.0.0.1:{port}"
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.fixture
+def dashboard(studied: Studied, tmp_path: Path) -> Iterator[Data]:
+    """What its API answers."""
+    with serve(studied.config.tuning.storage, tmp_path) as address:
+        yield lambda path: json.load(urllib.request.urlopen(f"{address}/api/{path}", timeout=30))
+
+
+@pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
+def test_the_committed_studies_open_in_a_browser(tmp_path: Path) -> None:
+    """As ``make dashboard`` shows them: their names, and the figures of each."""
+    storage = f"sqlite:///{tmp_path}/optuna.db"
+    run_stage(compose_config(["stage=dashboard", f"tuning.storage={storage}", "tracking=none"]))
+    studies = [path.parent.name for path in (ROOT / "studies").glob("*/trials.jsonl")]
+    with serve(storage, tmp_path) as address:
+        page, _ = open_in_browser(f"{address}/dashboard/")
+        assert [name for name in studies if f"{name} (committed)" not in page] == []
+        for number in range(1, len(studies) + 1):
+            page, _ = open_in_browser(f"{address}/dashboard/studies/{number}")
+            assert page.count("js-plotly-plot") >= 3
 
 
 def test_the_dashboard_has_the_study(dashboard: Data, studied: Studied) -> None:

@@ -96,7 +96,8 @@ def find_peak(
     if not len(inner):
         return None
     s = int(inner[size[inner].argmax() if beside is None else np.abs(rpm[inner] - beside).argmin()])
-    near = slice(max(s - 2, 0), s + 3)  # more than three readings, for they are noisy
+    further = 2 if size[max(s - 2, 0) : s + 3].min() > size[s] / 2 else 1  # more than three: they are noisy
+    near = slice(max(s - further, 0), s + further + 1)
     a, b, c = np.polyfit(rpm[near] - rpm[s], size[near], 2)
     top = float(np.clip(-b / (2 * a), rpm[near][0] - rpm[s], rpm[near][-1] - rpm[s])) if a < 0 else 0.0
     return float(rpm[s] + top), float(a * top**2 + b * top + c)
