@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -41,16 +41,19 @@ _ROLES = f"{_PHASE}|amp|ampl|amplitude|mag|magnitude|disp|1x|um|mm|mils?|in|m|v|
 _write = partial(json.dumps, ensure_ascii=False)
 
 
-def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
+def recognize_recordings(
+    path: Path, folder: Path, nodes: Sequence[int] = (1, 5)
+) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
     """The kind of machine file in a folder (``tables`` of amplitudes and phases, ``recordings`` of signals), and what
     takes the place of the example's values, by key; ``???`` for a convention that the file does not say, nothing for a
     key that its format lacks.
 
-    Files of the same columns beside it, and sheets of a workbook, are runs. Raises DataError for a file that is no
+    Files of the same columns beside it, and sheets of a workbook, are runs; two probes are at each of the bearings'
+    ``nodes``. Raises DataError for a file that is no
     table, and where no probe is recognised in its columns.
     """
     if path.suffix.lower() in (".uff", ".unv"):
-        return _recognize_records(path, folder)
+        return _recognize_records(path, folder, nodes)
     contents = list_contents(path)
     names = {name: name.rpartition(contents.mark)[2] for name in contents.units}
     units = {name: f"{names[name]} {unit}" for name, unit in contents.units.items()}
@@ -69,7 +72,7 @@ def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "r
         )
     guesses = _list_runs(runs, folder)
     if not phases:
-        return "recordings", guesses | _describe_signals(contents, units, probes)
+        return "recordings", guesses | _describe_signals(contents, units, probes, nodes)
     speed = next((name for name in further if _has(_SPEED, units[name])), further[0])
     for key, meanings in _MEANINGS.items():
         told = {"speed": [speed], "phase": phases.values(), "phase_unit": phases.values()}.get(key, probes.values())
@@ -79,16 +82,20 @@ def recognize_recordings(path: Path, folder: Path) -> tuple[Literal["tables", "r
         probe: f"columns: {{amplitude: {_write(name)}, phase: {_write(phases[probe])}}}"
         for probe, name in probes.items()
     }
-    guesses |= {"columns": f"{{speed: {_write(speed)}}}", "probes": _list_probes(seen)}
+    guesses |= {"columns": f"{{speed: {_write(speed)}}}", "probes": _list_probes(seen, nodes)}
     return "tables", guesses | {"speeds": _find_speeds(runs, speed, _RPM.get(guesses["speed"], 1.0))}
 
 
-def _describe_signals(contents: Contents, units: Mapping[str, str], probes: Mapping[str, str]) -> dict[str, str]:
+def _describe_signals(
+    contents: Contents, units: Mapping[str, str], probes: Mapping[str, str], nodes: Sequence[int]
+) -> dict[str, str]:
     """The guesses of time signals: their unit, the channel of the tacho, the times or the rate."""
     text = " ".join(units[name] for name in probes.values())
     unit = next((value for names, value in _SIGNALS.items() if _has(names, text)), "???")
     scale = ", scale: 7.87 V/mm" if unit in ("V", "mV", "???") else ""
-    guesses = {"probes": _list_probes({probe: f"channel: {_write(name)}{scale}" for probe, name in probes.items()})}
+    guesses = {
+        "probes": _list_probes({probe: f"channel: {_write(name)}{scale}" for probe, name in probes.items()}, nodes)
+    }
     tacho = next((name for name in units if _has(_TACHO, units[name])), "???")
     guesses["tacho"] = f"{{angle: 0 deg, channel: {_write(tacho)}, edge: rising, pulses_per_revolution: 1}}"
     rates = [f"null\n  time: {_write(name)}\n  time_unit: s" for name in units if _has(_TIME, units[name])]
@@ -105,14 +112,16 @@ def _find_beside(
     return {clean_name(other): (other, None) for other in beside if look(other).keys() == names.keys()}
 
 
-def _recognize_records(path: Path, folder: Path) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
+def _recognize_records(
+    path: Path, folder: Path, nodes: Sequence[int]
+) -> tuple[Literal["tables", "recordings"], dict[str, str]]:
     """Records of a universal file by their text, or by node and direction where runs share the file."""
     records, labels, timed = list_records(path)
     runs: dict[str, tuple[Path, str | None]] = {label: (path, label) for label in labels}
     runs = runs or _find_beside(path, records, lambda other: list_records(other)[0])
     tacho = next((text for text in records if _has(_TACHO, text)), "tacho")
     scale = ", scale: 7.87 V/mm" if timed else ""
-    probes = _list_probes({_name_probe(text): place + scale for text, place in records.items() if text != tacho})
+    probes = _list_probes({_name_probe(text): place + scale for text, place in records.items() if text != tacho}, nodes)
     guesses = _list_runs(runs, folder, "label") | {"format": "uff58", "probes": probes}
     if timed:
         place = records.get(tacho, 'record: "???"')
@@ -134,9 +143,9 @@ def _name_probe(column: str) -> str:
     return "_".join(kept) or column
 
 
-def _list_probes(seen: Mapping[str, str]) -> str:
-    """Two at a bearing of the example, at 45 and 135 degrees."""
-    places = [f"node: {node}, angle: {angle} deg" for node in (1, 5) for angle in (45, 135)] * len(seen)
+def _list_probes(seen: Mapping[str, str], nodes: Sequence[int]) -> str:
+    """Two at each bearing's node, at 45 and 135 degrees."""
+    places = [f"node: {node}, angle: {angle} deg" for node in nodes for angle in (45, 135)] * len(seen)
     lines = [
         f"    {_write(probe)}: {{{place}, {said}}}\n"
         for place, (probe, said) in zip(places, seen.items(), strict=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_text
 from pipeline.ingest.recognition import recognize_recordings
 from pipeline.reporting.console import say
+from pipeline.rotor.stored import load_rotor
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.execution import StageOutput
 
@@ -31,13 +33,16 @@ def run(analysis: Analysis) -> StageOutput:
     if os.path.lexists(path):
         raise DataError(f"stage=new must not replace a file, but '{path}' is there: choose another name, or move it")
     command = f"python -m pipeline {{}} {quote_override('machine.file', config.machine.file)}"
-    data, guesses = config.new.data, dict[str, str]()
+    data, guesses, rotor = config.new.data, dict[str, str](), config.machine.rotor
     if config.new.source:
-        source = make_absolute(config.new.source)
-        data, guesses = recognize_recordings(source, path.parent)
+        source, nodes = make_absolute(config.new.source), load_rotor(rotor).bearing_nodes if rotor.file else (1, 5)
+        data, guesses = recognize_recordings(source, path.parent, nodes)
         for sentence in describe_format(source, (), CsvConfig()) if source.suffix in (".csv", ".txt") else ():
             say(sentence)
     text = insert_guesses(fill_template(path, config.new.bearings, data), guesses)
+    if rotor.file:
+        file = json.dumps(os.path.relpath(make_absolute(rotor.file), path.parent), ensure_ascii=False)
+        text = text.replace("\n  file: null ", f"\n  file: {file} ", 1)
     write_text(path, text)
     say(f"machine file in '{path}'")
     if data == "simulated":
@@ -45,8 +50,8 @@ def run(analysis: Analysis) -> StageOutput:
     else:
         asked = f"places of the probes and every ??? ({text.count('???')})" if guesses else "probes, runs and paths"
         say(
-            f"fill in the rotor, {asked} (what you leave as it is belongs to an example), next: "
-            f"{command.format('stage=identify')}"
+            f"fill in {'' if rotor.file else 'the rotor, '}{asked} (what you leave as it is belongs to an example), "
+            f"next: {command.format('stage=identify')}"
         )
     return StageOutput(files=[path])
 

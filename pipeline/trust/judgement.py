@@ -39,6 +39,7 @@ class Judgement:
     common: tuple[Reason, ...] = ()
     held_out: tuple[str, ...] = ()  # how readings that the fit did not see are predicted, in words
     as_felt: bool = False  # a support may be part of the coefficients
+    rejected: bool = False  # readings speak against the model, whatever they determine
 
     @property
     def verdict(self) -> Verdict:
@@ -52,7 +53,7 @@ class Judgement:
             return ""
         why = gravest([*self.common, *(reason for judged in self.verdicts for reason in judged.reasons)])
         held_out = f" ({'; '.join(self.held_out)})" if self.held_out else ""
-        what = "THE MODEL IS REJECTED" if self.common else "NO COEFFICIENT CAN BE USED"
+        what = "THE MODEL IS REJECTED" if self.rejected else "NO COEFFICIENT CAN BE USED"
         return f"{what}, claim nothing from this{held_out}: {why[0].sentence if why else ''}"
 
     def record(self) -> dict[str, Any]:
@@ -73,6 +74,7 @@ def judge(
     gains: Gains,
     mistakes: Sequence[Reason] = (),
     as_felt: bool = False,
+    unexplained: float = 4.0,
 ) -> Judgement:
     """The Judgement of a fit that states deviations.
 
@@ -80,6 +82,7 @@ def judge(
         gains: what candidate runs would add.
         mistakes: what else speaks against the whole, such as single mistakes that would explain the readings.
         as_felt: whether a support may be part of the coefficients.
+        unexplained: mean square over the noise, of readings that the fit did not see, which rejects a model.
     """
     common, nodes, shared = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, _list_common(evidence)
     verdicts = []
@@ -88,8 +91,11 @@ def judge(
         reasons, checks = judge_coefficient(evidence, determined, b, c)
         reasons = gravest([*common, *(_add_step(reason, gains, b, c, nodes[b]) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
-    held_out = tuple(describe_held_out(kind, entry) for kind, entry in _pick_held_out(evidence).items())
-    return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt)
+    unseen = _pick_held_out(evidence)
+    held_out = tuple(describe_held_out(kind, entry) for kind, entry in unseen.items())
+    off = [entry["mean_square_over_noise"] or np.inf for entry in unseen.values()]
+    rejected = bool(common) or max(off, default=0.0) > unexplained
+    return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt, rejected)
 
 
 def _pick_held_out(evidence: Evidence) -> dict[str, Mapping[str, Any]]:

@@ -1,8 +1,8 @@
 """Single mistakes that would explain readings which a fit does not: each is tried by a quick fit.
 
-A person who sets up a measurement makes one mistake more often than two: a probe the wrong way round, a weight in the
-other plane, two runs exchanged. The readings are changed back, or a weight moved back, and fitted again; the mistake
-that leaves least over is named where it leaves far less than the readings as they are.
+A mistake in a measurement is mostly a single one: a probe the wrong way round, a weight in the other plane, two runs
+exchanged. The readings are changed back, or a weight is moved back, and they are fitted again. The mistake that leaves
+the least residual is named if that is far below the residual of the readings as they are.
 
 Legend: S speeds, P channels, R runs.
 """

@@ -243,11 +243,6 @@ def test_values_that_no_machine_has(changes: dict[str, Any], words: list[str], f
         compose_config([given_by(path)])
 
 
-def test_an_override_of_a_key_that_the_file_lacks(folder: Path) -> None:
-    with refused("machine.probes has no 'multiplicativ'", "did you mean 'multiplicative'?", kind=ConfigError):
-        compose_config([given_by(machine_file(folder)), "machine.probes.multiplicativ=0.01"])
-
-
 @pytest.mark.slow
 @examples(30)
 @given(content=st.binary(max_size=60) | st.text(max_size=60).map(str.encode))

@@ -171,14 +171,14 @@ PROBES = ("DE_left", "DE_right", "NDE_left", "NDE_right")
 
 @pytest.mark.parametrize("kind", ["csv", "groups", "workbook"])
 def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Four edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""
+    """Three edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""
     source = write_log(folder, kind)
-    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{source}'")
+    rotor = f"machine.rotor.file='{EXAMPLE / 'rotor.toml'}'"
+    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{source}'", rotor)
     assert ("cp1252, ';' between fields, decimal commas" in capsys.readouterr().out) == (kind != "workbook")
     with refused("unbalances must be given, but is ???: write it in place of the ???", kind=ConfigError):
         compose_config([given_by(path)])
     edits = {
-        "  file: null  # a rotor": f"  file: {EXAMPLE / 'rotor.toml'}  # a rotor",
         '"first_disc.*"???"': "{node: 2, magnitude: 200 g mm, phase: 0 deg}",
         '"second_disc.*"???"': "{node: 4, magnitude: 200 g mm, phase: 90 deg}",
         "start_rpm: 700, stop_rpm: 5900, step_rpm: 100": "start_rpm: 1500, stop_rpm: 5800, step_rpm: 50",

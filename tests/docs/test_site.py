@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from running import BROWSER, NO_BROWSER, ROOT, open_in_browser
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
 _LOADED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
 _IMPORTED = re.compile(r"(?:@import|url\()\s*[\"']?(?:https?:)?//[^)]*")
 
@@ -49,3 +49,11 @@ def test_a_page_has_its_tables_and_lists(site: Path) -> None:
         text = re.sub(r"<(pre|code|script|style)\b.*?</\1>", "", page.read_text(encoding="utf-8"), flags=re.S)
         text = re.sub(r"<[^>]+>", "", text)
         assert not re.search(r"^\s*\|.*\|\s*$|^\s*\|---|\*\*\w|^- \w", text, re.M), page.name
+
+
+@pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
+def test_the_search_needs_no_server(site: Path) -> None:
+    """From the folder of the built pages, in headless Chromium."""
+    page, console = open_in_browser(f"{(site / 'index.html').as_uri()}?q=clearance")
+    assert console == []
+    assert re.search(r"[1-9]\d* matching documents", page)

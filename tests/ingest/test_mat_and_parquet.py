@@ -143,7 +143,7 @@ def test_what_a_mat_file_lacks_is_named(write: Any, tmp_path: Path) -> None:
             read(waves(runs=[run], probes=probes, tacho={"channel": "run.speed", "edge": "rising"}) | clock)
     with refused("must have as many values in every variable, but it has 'run.speed' 11, 'fs' 2"):
         pair = probes_config(columns=lambda name: {"amplitude": "fs", "phase": "run.speed"})
-        read(table_config([run], columns={"speed": "run.speed"}, probes=pair))
+        read(table_config([run], columns={"speed": "run.speed"}, probes={"A": pair["A"]}))
     path.write_bytes(path.read_bytes()[:400])
     with refused("must be a complete MAT file", "copy it again"):
         read_mat(path, ["run.speed"])

@@ -23,7 +23,7 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel, Sensors, measure
 from pipeline.data.simulate import simulate
 from pipeline.errors import PipelineError
-from pipeline.ingest.plausibility import note_clipping, note_dead, note_size, note_whirl
+from pipeline.ingest.plausibility import note_clipping, note_size
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -185,25 +185,6 @@ def test_a_mistake_is_named(name: str) -> None:
 # --- what is seen before any fit ------------------------------------------------------------------------
 
 
-def test_unbalances_in_kg_m_that_are_g_mm() -> None:
-    """200 in place of 200 g mm: a million times too much."""
-    data = replace(truth().dataset, excitations=tuple(replace(one, magnitude=one.magnitude / G_MM) for one in WEIGHTS))
-    (said,) = note_size(data, rotor(), 1e7, 5e3)
-    assert "is a unit wrong, of the lengths or of the unbalances?" in said
-
-
-def test_the_wrong_direction_of_rotation() -> None:
-    data = mirrored(truth().dataset)
-    found = replace(data, channels=((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)), displacement=to_x_and_y(data))
-    assert len(said := note_whirl(found)) == 3
-    assert all("turn backward" in one and "the probes' angles" in one for one in said)
-
-
-def to_x_and_y(data: VibrationDataset) -> np.ndarray:
-    _, resolution = data.resolution()
-    return np.asarray(resolution @ data.displacement)
-
-
 def test_speeds_in_hz_called_rpm(tmp_path: Path) -> None:
     """25 to 100 Hz as 25 to 100 rpm: the weights push 3600 times less, so the readings are far too large."""
     (said,) = note_size(replace(truth().dataset, speeds=truth().dataset.speeds / 60), rotor(), 1e7, 5e3)
@@ -215,11 +196,6 @@ def test_a_run_that_is_missing(tmp_path: Path) -> None:
     config = table_config([RUNS[0], RUNS[0] | {"name": "two"}], layout="long", file=str(tmp_path / "all.csv"))
     with refused("two", kind=PipelineError):
         read(config)
-
-
-def test_a_dead_channel_is_named_when_it_is_read() -> None:
-    (said,) = note_dead("first", {"DE_left": 3e-6, "DE_right": 4e-6, "NDE_left": 1e-9, "NDE_right": 5e-6})
-    assert_says(said, "probe 'NDE_left' of run 'first'", "dead")
 
 
 def test_a_clipped_signal_is_named_when_it_is_read() -> None:
