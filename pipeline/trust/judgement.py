@@ -94,7 +94,7 @@ def judge(
     unseen = _pick_held_out(evidence)
     held_out = tuple(describe_held_out(kind, entry) for kind, entry in unseen.items())
     off = [entry["mean_square_over_noise"] or np.inf for entry in unseen.values()]
-    rejected = bool(common) or max(off, default=0.0) > unexplained
+    rejected = not evidence.misfit.explained() or max(off, default=0.0) > unexplained
     return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt, rejected)
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from running import ENVIRONMENT, ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 STUDIES = [path for path in (ROOT / "studies").rglob("*.md") if not (path.parent / "trials.csv").exists()]
 """Those that a person wrote; the report of a study is made."""
@@ -25,6 +28,8 @@ _COMMAND = re.compile(r"^ {4,}(python -m pipeline .*)$", re.M)
 _INLINE = re.compile(r"`(python -m pipeline [^`]*)`")
 _ELSEWHERE = re.compile(r"machine\.file=|--config-dir|hydra/launcher|--help|--cfg|machine\.runs_file=|data\.known=my/")
 """Commands on files that a reader has, or that another test runs."""
+_LONG = re.compile(r"stage=(compare|robustness|tune|senses|choose|check)|train.*rk4|postgresql|tracking\.uri")
+COMMAND_LINE = ENVIRONMENT | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
 
 
 def commands(page: Path) -> list[str]:
@@ -87,6 +92,21 @@ def test_the_program_takes_every_command() -> None:
         except ConfigError as error:
             refused[command] = str(error)
     assert refused == {}
+
+
+@pytest.mark.nightly
+def test_commands_run_as_printed(tmp_path: Path) -> None:
+    """One after the other in a folder of results, as a reader gives them; but those that take long."""
+    failed = {}
+    for name in ("examples", "studies"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for command in COMMANDS:
+        if not _LONG.search(command):
+            done = subprocess.run(
+                ["bash", "-c", command], cwd=tmp_path, env=COMMAND_LINE, capture_output=True, text=True
+            )
+            failed |= {command: done.stderr[-500:]} if done.returncode else {}
+    assert failed == {}
 
 
 def test_the_citation_has_what_its_format_asks_for() -> None:

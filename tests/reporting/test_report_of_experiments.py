@@ -176,7 +176,8 @@ def list_contradictions(folder: Path) -> list[str]:
     steps = next(row[1] for row in rows if row[:1] == ["What is to be done next?"])
     wrong += [steps] if "No single further run" in steps and "Add a run" in steps else []
     bad = [f"{row[2]} higher than {row[1]}" for row in rows if row[-1:] == ["higher than predicted"]]
-    wrong += bad if "The model and the noise that was found explain the readings" in said else []
+    rejected = [said] if "THE MODEL IS REJECTED" in said else []
+    wrong += [*bad, *rejected] if re.search(r"The model and the [a-z ]*noise[a-z ]* explain the readings", said) else []
     if (ratio := re.search(r"the readings lie ([\d.]+) times as far off as their noise\.", said)) is not None:
         probes = [float(row[2]) for row in rows if len(row) == 3 and re.fullmatch(r"[\d.]+", row[2]) and row[0] in said]
         size = float(np.sqrt(np.mean(np.square(probes))))
