@@ -10,6 +10,7 @@ from conftest import MachineFactory, assert_says
 from benchmarks import __main__ as command
 from benchmarks.measure import Aim, Benchmark, Measured, Times, in_turns
 from benchmarks.report import surroundings
+from studies import ALONE, Make, silent
 
 
 def one(aim: Aim, ours: float = 3.0, peer: float = 1.0, scale: float = 1.0) -> Measured:
@@ -109,20 +110,15 @@ def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> No
 
 
 @pytest.mark.slow
-def test_two_workers_do_the_trials_of_one(machine: MachineFactory, tmp_path: Path) -> None:
+def test_two_workers_do_the_trials_of_one(make: Make, tmp_path: Path) -> None:
     """Random search without pruning: the very same trials, all of them accounted for, and nothing to complain of."""
-    from pipeline.config.compose import compose_config
     from pipeline.tuning.finalists import summarize
-    from pipeline.tuning.study import StudyProblem
     from pipeline.tuning.worker import run_study
 
-    made, trials = machine("experiment=hydrostatic_stiffness"), []
+    trials = []
     for workers in (1, 2):
-        storage = f"tuning.storage=sqlite:///{tmp_path}/{workers}.db"
-        alike = ["tuning.sampler=random", "tuning.pruner=none", "tuning.n_trials=4", f"tuning.workers={workers}"]
-        config = compose_config(["stage=tune", storage, *alike])
-        problem = StudyProblem(config, made.measurement)
-        study, sentences = run_study(problem, lambda _: None)
+        problem = make(**ALONE, storage=f"sqlite:///{tmp_path}/{workers}.db", n_trials=4, workers=workers)
+        study, sentences = run_study(problem, silent)
         assert sentences == []
         trials.append([trial.parameters for trial in summarize(study)])
     assert len(trials[0]) == 4

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import refused
-from folds import main, parse, run
+from conftest import DATA, Artifacts, refused
+from folds import parse, run
 from running import FEW_SPEEDS, ROOT, composed, strict_json
 
 from pipeline.errors import ConfigError
@@ -18,13 +18,10 @@ from pipeline.errors import ConfigError
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of the command, from the records."""
-    folder = tmp_path_factory.mktemp("rk4")
-    given = ["experiment=rk4", "tracking=none", f"output={folder}", "--calibration", "BASE", "A007", "A015"]
-    assert main([*given, "--heavy", "36 g mm"]) == 0
-    return folder
+@pytest.fixture
+def folder(artifacts: Artifacts) -> Path:
+    """What the command of the graph made of the records."""
+    return artifacts("rk4", "folds.json", "folds.csv", "figures/folds.png")
 
 
 def test_contradictions_are_named_from_the_vibration_alone(folder: Path) -> None:
@@ -81,9 +78,12 @@ def test_the_table_has_a_row_a_score(folder: Path) -> None:
         (["A007"], "must begin with"),
     ],
 )
-def test_a_calibration_that_is_none_is_refused(given: list[str], words: str, folder: Path) -> None:
+def test_a_calibration_that_is_none_is_refused(
+    given: list[str], words: str, artifacts: Artifacts, tmp_path: Path
+) -> None:
+    artifacts.copied("rk4", DATA - {"modelled_coefficients.csv"}, tmp_path)
     with pytest.raises(ConfigError, match=words):
-        run(composed("experiment=rk4", "tracking=none", f"output={folder}"), given)
+        run(composed("experiment=rk4", "tracking=none", f"output={tmp_path}"), given)
 
 
 @pytest.mark.parametrize(
