@@ -52,14 +52,14 @@ class Signals:
 
 
 def _make_columns(degrees: Sequence[int], x: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """(n, columns) of the fit: polynomials of these ``degrees`` for DC, 1X, 2X .., ``turning`` (n,) = e^{j phi}."""
-    powers = np.vander(x, max(degrees) + 1, increasing=True)
-    parts = [powers[:, : degrees[0] + 1]]
+    """(columns, n) of the fit: polynomials of these ``degrees`` for DC, 1X, 2X .., ``turning`` (n,) = e^{j phi}."""
+    powers = np.cumprod([np.ones_like(x), *[x] * max(degrees)], axis=0)
+    parts = [powers[: degrees[0] + 1]]
     harmonic = np.ones_like(turning)
     for degree in degrees[1:]:
         harmonic = harmonic * turning
-        parts += [component[:, None] * powers[:, : degree + 1] for component in (harmonic.real, harmonic.imag)]
-    return np.concatenate(parts, axis=1)
+        parts += [component * powers[: degree + 1] for component in (harmonic.real.copy(), harmonic.imag.copy())]
+    return np.concatenate(parts)
 
 
 def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, np.ndarray]:
@@ -201,9 +201,9 @@ def _fit_each(
         first, last = np.searchsorted(time, [centre - wide, centre + wide])
         for side in (slice(first, begin), slice(end, last)):
             columns = _make_columns(degrees, (time[side] - centre) / halves[-1], turning[side])
-            gram = gram + columns.T @ columns
-            right = right + columns.T @ values[side]
-            squares = squares + (values[side] ** 2).sum(axis=0)
+            gram = gram + columns @ columns.T
+            right = right + columns @ values[side]
+            squares = squares + (values[side].T @ values[side]).diagonal()
         begin, end = int(first), int(last)
         inverse = _invert(np.asarray(gram), signals.where)
         solution = inverse @ right

@@ -41,8 +41,8 @@ def write_figure(path: Path, figure: Figure, dots_an_inch: int = 160) -> Path:
     from matplotlib import rc_context
 
     with rc_context(_STYLE):
-        drawing = draw_panels(figure.panels, figure.legend(), figure.columns, figure.caption)
-        return write_beside(path, lambda beside: drawing.savefig(beside, dpi=dots_an_inch))
+        drawing = draw_panels(figure.panels, figure.legend(), figure.columns, dots_an_inch, figure.caption)
+        return write_beside(path, drawing.savefig)
 
 
 def write_panel(path: Path, panel: Panel) -> Path:
@@ -56,14 +56,18 @@ def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, d
     from PIL import Image
 
     with rc_context(_STYLE):
-        drawing = draw_panels(panels, legend, columns)
-        drawing.set_dpi(dots_an_inch)
+        drawing = draw_panels(panels, legend, columns, dots_an_inch)
         drawing.canvas.draw()
         return Image.fromarray(np.asarray(drawing.canvas.buffer_rgba())[..., :3].copy()), drawing.get_figheight()
 
 
-def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, caption: str = "") -> Any:
-    """Matplotlib's figure of panels in so many ``columns``; a single column is as wide as two."""
+def draw_panels(
+    panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int, caption: str = ""
+) -> Any:
+    """Matplotlib's figure of panels in so many ``columns``; a single column is as wide as two.
+
+    Words are measured once: for the ``dots_an_inch`` that they are drawn with.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Drawing
 
@@ -75,7 +79,7 @@ def draw_panels(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, 
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
     heights = [max(map(_measure_height, row)) for row in rows]
     height = top + sum(heights)
-    drawing = Drawing(figsize=(width, height))
+    drawing = Drawing(figsize=(width, height), dpi=dots_an_inch)
     FigureCanvasAgg(drawing)
     for r, row in enumerate(rows):
         bottom = height - top - sum(heights[: r + 1])
@@ -175,7 +179,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
         if i == 0:
-            ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left")
+            ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left", y=1.0)  # given, it is not looked for
         ax.tick_params(labelbottom=i == len(shares) - 1)
         drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
