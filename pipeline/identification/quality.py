@@ -182,14 +182,14 @@ def mismatch(
         normal), and ``probability``: the smallest, times their number (Bonferroni), so that a right model comes below
         0.05 in at most 5 of 100 data sets.
     """
-    from scipy.stats import chi2, f, norm
+    from scipy.special import chdtrc, fdtrc, ndtr
 
     by_size = None
-    if square is not None and np.isfinite(square):
-        by_size = float(chi2.sf(square, freedom))
+    if square is not None and np.isfinite(square) and freedom > 0:
+        by_size = float(chdtrc(freedom, square))
         if np.isfinite(repeated):
-            by_size = float(f.sf(square / freedom, freedom, 2 * np.log(2.0) ** 2 * repeated))
-    by_order = float(norm.sf(whiteness)) if np.isfinite(whiteness) else None
+            by_size = float(fdtrc(freedom, 2 * np.log(2.0) ** 2 * repeated, square / freedom))
+    by_order = float(ndtr(-whiteness)) if np.isfinite(whiteness) else None
     every = [p for p in (by_size, by_order) if p is not None]
     probability = min(1.0, len(every) * min(every)) if every else None
     return {"chi_square": by_size, "whiteness": by_order, "probability": probability}

@@ -46,11 +46,12 @@ class NoiseLevels:
 
 def student_factor(freedom: float, level: float = 0.95) -> float:
     """Half of an interval in standard deviations, for ``freedom`` complex degrees of freedom; infinite for none."""
-    from scipy import stats
+    from scipy.special import ndtri, stdtrit
 
     if freedom <= 0:
         return float("inf")
-    return float(stats.t.ppf(0.5 + level / 2, 2 * freedom) if np.isfinite(freedom) else stats.norm.ppf(0.5 + level / 2))
+    share = 0.5 + level / 2
+    return float(stdtrit(2 * freedom, share) if np.isfinite(freedom) else ndtri(share))
 
 
 def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.inf) -> tuple[float, float]:

@@ -187,17 +187,17 @@ def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
     Where all of them together moved as right tolerances ``never`` do, by chi-square, they stand for what the model
     lacks, and so may the coefficients.
     """
-    from scipy.stats import chi2, norm
+    from scipy.special import chdtrc, ndtri
 
     moves = {name: abs(value) for name, value in evidence.priors.items()}
-    limit = max(2.0, float(norm.isf(0.025 / max(len(moves), 1))))
+    limit = max(2.0, -float(ndtri(0.025 / max(len(moves), 1))))
     shifted = {name: move for name, move in moves.items() if move > limit}
     if not shifted:
         return []
     name, square = rank(shifted)[0], sum(move**2 for move in moves.values())
     number = name.replace("_", " ")
     asked = f"The data ask for a {number} that is {shifted[name]:.1f} tolerances away from the stated one"
-    if chi2.sf(square, len(moves)) >= never:
+    if chdtrc(len(moves), square) >= never:
         cure = f"Measure {number} again, or state a wider tolerance if it was a guess."
         return [Reason(Verdict.WITH_CARE, f"{asked}.", cure)]
     together = (
