@@ -12,10 +12,11 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import settings
@@ -190,6 +191,20 @@ def run() -> Run:
     return run_in
 
 
+def _leave_pictures_out() -> Iterator[None]:
+    """Pictures take half of a stage's time, have tests of their own, and the graph draws those of each experiment."""
+    pixel = memoryview(bytes(4)).cast("B", (1, 1, 4))
+    drawing = Mock(**{"get_figheight.return_value": 1.0, "canvas.buffer_rgba.return_value": pixel})
+    drawing.savefig.side_effect = lambda path: path.write_bytes(b"a picture")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pipeline.reporting.matplotlib_figures.draw_panels", lambda *_: drawing)
+        yield
+
+
+no_pictures = pytest.fixture(_leave_pictures_out)
+pictures_left_out = contextmanager(_leave_pictures_out)
+
+
 class Made:
     """``made(experiment)``: the folder of an experiment of which every stage has run; not to be written to."""
 
@@ -198,11 +213,12 @@ class Made:
 
     def __call__(self, experiment: str) -> Path:
         """Run with few speeds and steps, once."""
-        from running import LINE, few
+        from running import DEFAULT, LINE, few
 
         folder = self.root / experiment
-        for stage in LINE if not folder.exists() else ():
-            self.run(stage, few(experiment), folder)
+        with nullcontext() if experiment == DEFAULT else pictures_left_out():
+            for stage in LINE if not folder.exists() else ():
+                self.run(stage, few(experiment), folder)
         return folder
 
 
@@ -238,8 +254,7 @@ def finished(base: Config, run: Run, tmp_path_factory: pytest.TempPathFactory) -
     from running import LINE
 
     folder = tmp_path_factory.mktemp("finished") / "ball"
-    with pytest.MonkeyPatch.context() as patch:  # pictures take most of the time, and have tests of their own
-        patch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **__: path.write_bytes(b"a picture"))
+    with pictures_left_out():
         for stage in LINE:
             run(stage, base, folder)
     return folder

@@ -29,7 +29,7 @@ FEW_SPEEDS = tuple(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rp
 FEW = (
     *FEW_SPEEDS,
     *("optimizer.adam.steps=4", "optimizer.levenberg_marquardt.steps=4"),
-    *("robustness.count=3", "robustness.seeds=[0,1]"),
+    *("robustness.count=3", "robustness.seeds=[0,1]", "++robustness.workers=1"),
 )
 LINE = ("generate", "train", "evaluate", "robustness", "predict")
 REFUSED = "compressor_journal_and_isotropic"  # not identifiable: no stage after diagnose

@@ -195,8 +195,8 @@ def _fit(
 
     @lru_cache(maxsize=1)  # the Jacobian is asked for where the residual was
     def differentiate_at(z: bytes) -> np.ndarray:
-        rows = differentiate(problem, torch.as_tensor(np.frombuffer(z).copy())[None, None])
-        return np.linalg.qr(rows, mode="r")  # the same squares and products of each speed's rows, in as few as columns
+        # The triangle has the squares and products of each speed's rows, and as few of them as columns.
+        return np.linalg.qr(differentiate(problem, torch.as_tensor(np.frombuffer(z).copy())[None, None]), mode="r")
 
     def residual(z: np.ndarray) -> np.ndarray:
         return differentiate_at(z.tobytes())[..., -1].ravel()

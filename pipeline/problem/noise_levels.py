@@ -50,8 +50,7 @@ def student_factor(freedom: float, level: float = 0.95) -> float:
 
     if freedom <= 0:
         return float("inf")
-    share = 0.5 + level / 2
-    return float(stdtrit(2 * freedom, share) if np.isfinite(freedom) else ndtri(share))
+    return float(stdtrit(2 * freedom, 0.5 + level / 2) if np.isfinite(freedom) else ndtri(0.5 + level / 2))
 
 
 def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.inf) -> tuple[float, float]:

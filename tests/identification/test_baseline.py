@@ -126,13 +126,13 @@ def test_intervals_hold_as_often_as_they_say(
     and the 95 % intervals hold 95 %. Runs taken for independent: 1.25 and 89 %.
     """
     monkeypatch.setattr(Readings, "follow", follow)
-    clean, over, squares = clean_of(rotor_of), [], []
+    clean, setup, over, squares = clean_of(rotor_of), setup_of(CONFIG), [], []
     truth = bearings_of((1, 5), rotor_of.speeds, **TRUTH).values
     for seed in range(100):
-        found = fit(measured(rotor_of, clean, seed), setup_of(CONFIG))
+        found = fit(measurement := measured(rotor_of, clean, seed), setup)
         deviation = found.deviation(rotor_of.speeds)
         assert deviation is not None
-        off = (found.model.table(measured(rotor_of, clean, seed).known).values - truth) / deviation
+        off = (found.model.table(measurement.known).values - truth) / deviation
         over.append(off[:, 0, [0, 3, 4, 7]])
         square = found.quality.summary["fit"]["chi_square"]
         squares.append(square["value"] / square["expected"])

@@ -33,13 +33,15 @@ SMALL = {
 }
 PROGRAM = """
 import json, sys
+from conftest import pictures_left_out
 from pipeline.config.compose import compose_config
 from pipeline.stages import run_stage
 folder, given = sys.argv[1], json.loads(sys.argv[2])
-for name, overrides in given.items():
-    for stage in ("generate", "train", "evaluate"):
-        places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
-        run_stage(compose_config([*places, *overrides]))
+with pictures_left_out():
+    for name, overrides in given.items():
+        for stage in ("generate", "train", "evaluate"):
+            places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
+            run_stage(compose_config([*places, *overrides]))
 """
 PRODUCT = """
 import hashlib
@@ -87,7 +89,7 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
 
 def _run(program: str, kernels: dict[str, str], *arguments: str) -> str:
     root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": root} | kernels
+    environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests"} | kernels
     command = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr

@@ -152,6 +152,7 @@ BY_DAY = [
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize(("model", "optimizer", "robustness"), BY_DAY)
 def test_all_stages_of_all_combinations(model: str, optimizer: str, robustness: str, run: Run, tmp_path: Path) -> None:
     experiment = "ball_bearing" if robustness == "seeds" else "hydrostatic_damping"  # the other's robustness

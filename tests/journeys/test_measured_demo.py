@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts, Run, refused
+from conftest import DATA, Artifacts, Run, refused
 
 from pipeline.errors import ConfigError
 
@@ -60,12 +60,12 @@ def test_stiffness_and_damping_are_found(folder: Path) -> None:
             assert error["median_error_percent"] < (0.12 if name.startswith("k") else 1.2)
 
 
-def test_a_plane_and_speeds_that_no_run_had(run: Run, tmp_path: Path) -> None:
+def test_a_plane_and_speeds_that_no_run_had(run: Run, artifacts: Artifacts, tmp_path: Path) -> None:
     """By a model of one disc's run alone: 0.31 % where superposition has no answer, 0.31 % at the critical speed, where
     interpolation is 21 % off.
     """
     held = ["training.holdout_runs=[second_disc,both_discs]", "training.holdout_range=[5000 rpm,5600 rpm]"]
-    run("evaluate", ["experiment=measured_demo", *held], tmp_path)
+    run("evaluate", ["experiment=measured_demo", *held], artifacts.copied("measured_demo", DATA, tmp_path))
     found = json.loads((tmp_path / "metrics.json").read_text())["held_out"]
     assert found["run second_disc"]["rival_error_percent"] is None
     assert found["run second_disc"]["model_error_percent"] < 0.6

@@ -18,7 +18,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.operating import column_of
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
-from pipeline.stages import evaluate, robustness
+from pipeline.stages import robustness
 from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.twin.prediction import predict
 
@@ -50,13 +50,13 @@ NEEDED = {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("name", NEEDED)
 def test_a_missing_file_is_made_again(
-    name: str, made: Made, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    name: str, made: Made, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whichever input of evaluate is gone, its stage runs first and says so; the result is the same."""
     folder = Path(shutil.copytree(made("ball_bearing"), tmp_path / "x"))
-    monkeypatch.setattr(evaluate, "draw_coefficients", lambda path, *_: path)  # they take most of the time
     with left_alone(folder):
         (folder / name).unlink()
         run("evaluate", few("ball_bearing"), folder)

@@ -259,6 +259,7 @@ def test_the_output_error_gives_the_same_bits_with_any_truth(
     ],
     ids=["residual", "output error"],
 )
+@pytest.mark.usefixtures("no_pictures")
 def test_a_study_chooses_before_any_truth_is_opened(
     run: Run, study: list[str], tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

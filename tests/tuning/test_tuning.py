@@ -23,7 +23,8 @@ from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
-from pipeline.tuning.space import applies, find_default, suggest, translate
+from pipeline.stages import run_stage
+from pipeline.tuning.space import applies, find_default, make_sampler, suggest, translate
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
@@ -130,8 +131,6 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
     """The draws depend on seed, trial and parameter, not on how long the sampler has lived."""
     import optuna
 
-    from pipeline.tuning.space import make_sampler
-
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     config = untuned(f"tuning.sampler={name}", "tuning.startup_trials=4").tuning
     at_once = optuna.create_study(sampler=make_sampler(config))
@@ -147,8 +146,6 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
 
 def test_the_sampler_seed_matters() -> None:
     import optuna
-
-    from pipeline.tuning.space import make_sampler
 
     first = []
     for seed in (0, 1):
@@ -308,8 +305,6 @@ SMALL = [
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small study, run through the stage; holds ``data`` and ``study``."""
-    from pipeline.stages import run_stage
-
     folder = tmp_path_factory.mktemp("small study")
     run_stage(small(folder))
     return folder
@@ -354,10 +349,9 @@ def test_a_study_at_rounding_keeps_the_default(finished: Path) -> None:
     assert yaml.safe_load((finished / "study" / "best.yaml").read_text())["values"] == {}
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_finished_study_is_not_made_again(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The second run changes no file and says that all is there; a missing file is made again."""
-    from pipeline.stages import run_stage
-
     before = {path: path.stat().st_mtime_ns for path in (finished / "study").rglob("*") if path.is_file()}
     run_stage(small(finished))
     assert "the study has its 6 trials" in capsys.readouterr().out
@@ -368,10 +362,9 @@ def test_a_finished_study_is_not_made_again(finished: Path, capsys: pytest.Captu
     assert (finished / "study" / "best.yaml").read_text() == text
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path) -> None:
     """With other modelled coefficients the same trials are made and the same values promoted: only errors differ."""
-    from pipeline.stages import run_stage
-
     folder = tmp_path / "lied"
     shutil.copytree(finished / "data", folder / "data")
     truth = pd.read_csv(folder / "data" / "modelled_coefficients.csv")
@@ -387,10 +380,9 @@ def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path
     assert not np.allclose(told["kxx_mean_error_percent"], lie["kxx_mean_error_percent"])
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As many trials of each sampler and seed, in studies of their own, and a sentence on who won."""
-    from pipeline.stages import run_stage
-
     given = ["stage=samplers", "tuning.comparison.seeds=[0,1]", "tuning.comparison.samplers=[tpe,random]"]
     run_stage(small(finished, *given))
     table = pd.read_csv(finished / "study" / "samplers.csv")
