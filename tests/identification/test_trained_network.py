@@ -70,7 +70,7 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     )
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
-    whole = torch.autograd.functional.jacobian(problem.rows, numbers)
+    whole = torch.autograd.functional.jacobian(problem.rows, numbers, vectorize=True)
     for g in range(2):
         jacobian, rows = whole[g, 0, :, g, 0], problem.rows(numbers)[g, 0]
         wanted = jacobian.T @ jacobian

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import assert_says
+from conftest import DATA, Artifacts, assert_says
 from running import ROOT, composed, strict_json
 
 from pipeline.errors import ConfigError, DataError
@@ -33,11 +33,9 @@ def _write(path: Path, rows: Rows, without: str = " ") -> Path:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the records of the rig are read once."""
-    made = tmp_path_factory.mktemp("rk4")
-    run_stage(composed("experiment=rk4", "tracking=none", f"output={made}", "stage=ingest"))
-    return made
+def folder(artifacts: Artifacts, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With what the graph read of the rig's records."""
+    return artifacts.copied("rk4", DATA - {"modelled_coefficients.csv"}, tmp_path_factory.mktemp("rk4"))
 
 
 def _run(folder: Path, stage: str, *overrides: str) -> None:
@@ -125,18 +123,21 @@ def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path) -> None:
         composed("experiment=rk4", "machine.balance.tolerance.grade=2.5")
 
 
-def test_three_runs_over_many_speeds_have_no_bands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_runs_over_many_speeds_have_no_bands(
+    artifacts: Artifacts, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Recordings of another kind: their weights come back, what can't be known is blank, and the baseline is gone."""
     holes = ",".join(
         f"{{node: {node}, holes: 12, first_angle: 0 deg, numbering: with_rotation, radius: 80 mm}}" for node in (2, 4)
     )
     tolerance = "{grade: G2.5, service_speed_rpm: 3000}"
-    given = ["experiment=measured_demo", "tracking=none", f"output={tmp_path}", "stage=balance"]
+    folder = artifacts.copied("measured_demo", DATA, tmp_path / "x")
+    given = ["experiment=measured_demo", "tracking=none", f"output={folder}", "stage=balance"]
     given.append(f"+machine.balance={{planes: [{holes}], masses: any, tolerance: {tolerance}}}")
     with pytest.raises(ConfigError, match=r"data\.baseline=as_found"):
         run_stage(composed(*given))
     run_stage(composed(*given, "balance.condition=both_discs", "balance.remove=condition"))
-    sheet = strict_json(tmp_path / "balance.json")["sheet"]
+    sheet = strict_json(folder / "balance.json")["sheet"]
     for plane, hole in zip(sheet["planes"], (11, 5), strict=True):
         (weight,) = plane["weights"]
         assert weight["hole"] == hole  # 150 g mm at 120 and 300 degrees, opposite

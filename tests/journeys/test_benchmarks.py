@@ -115,11 +115,9 @@ def test_two_workers_do_the_trials_of_one(make: Make, tmp_path: Path) -> None:
     from pipeline.tuning.finalists import summarize
     from pipeline.tuning.worker import run_study
 
-    trials = []
-    for workers in (1, 2):
-        problem = make(**ALONE, storage=f"sqlite:///{tmp_path}/{workers}.db", n_trials=4, workers=workers)
-        study, sentences = run_study(problem, silent)
-        assert sentences == []
-        trials.append([trial.parameters for trial in summarize(study)])
-    assert len(trials[0]) == 4
-    assert trials[0] == trials[1]
+    problems = (make(**ALONE, storage=f"sqlite:///{tmp_path}/{n}.db", n_trials=4, workers=n) for n in (1, 2))
+    studies = [run_study(problem, silent) for problem in problems]
+    assert [sentences for _, sentences in studies] == [[], []]
+    one, two = ([trial.parameters for trial in summarize(study)] for study, _ in studies)
+    assert len(one) == 4
+    assert one == two

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Config]:
     seen: list[Config] = []
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("pipeline.stages.run_stages", seen.extend)
+    monkeypatch.setattr("pipeline.tracking.recorder_beside", nullcontext)  # MLflow takes seconds to start
     return seen
 
 

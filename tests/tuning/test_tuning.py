@@ -147,11 +147,9 @@ def test_a_study_reopened_before_every_trial_draws_the_same(name: str) -> None:
 def test_the_sampler_seed_matters() -> None:
     import optuna
 
-    first = []
-    for seed in (0, 1):
-        study = optuna.create_study(sampler=make_sampler(untuned(f"tuning.sampler_seed={seed}").tuning))
-        first.append(study.ask().suggest_float("x", 0, 1))
-    assert first[0] != first[1]
+    samplers = [make_sampler(untuned(f"tuning.sampler_seed={seed}").tuning) for seed in (0, 1)]
+    first, second = (optuna.create_study(sampler=sampler).ask().suggest_float("x", 0, 1) for sampler in samplers)
+    assert first != second
 
 
 @pytest.fixture
@@ -333,9 +331,7 @@ def test_a_study_writes_what_a_person_reads(finished: Path) -> None:
     assert 0 in set(finalists["trial"]), "the default is always a finalist"
     assert {"kxx_mean_error_percent", "kyy_mean_error_percent"} <= set(finalists)
     text = (study / "README.md").read_text()
-    assert summary["verdict"][1:] in text
-    for name in ("Question", "Objective", "Budget", "Result"):
-        assert f"**{name}.**" in text
+    assert_says(text, summary["verdict"][1:], "**Question.**", "**Objective.**", "**Budget.**", "**Result.**")
     figures = {path.name for path in (study / "figures").glob("*.png")}
     assert {"history.png", "finalists.png", "slice.png", "parallel_coordinates.png", "learning_curves.png"} <= figures
     assert all(f"figures/{name})" in text for name in figures)
@@ -444,8 +440,7 @@ def test_speeds_are_held_out_inside_the_range() -> None:
     from pipeline.identification.held_out import held_out_speeds
 
     mask = held_out_speeds(591, untuned().training.holdout_every)
-    assert not mask[0]
-    assert not mask[-1]
+    assert not mask[[0, -1]].any()
     assert mask.sum() == 59
 
 
