@@ -196,7 +196,9 @@ def _fit(
     @lru_cache(maxsize=1)  # the Jacobian is asked for where the residual was
     def differentiate_at(z: bytes) -> np.ndarray:
         # The triangle has the squares and products of each speed's rows, and as few of them as columns.
-        return np.linalg.qr(differentiate(problem, torch.as_tensor(np.frombuffer(z).copy())[None, None]), mode="r")
+        return np.asarray(
+            np.linalg.qr(differentiate(problem, torch.as_tensor(np.frombuffer(z).copy())[None, None]), mode="r")
+        )
 
     def residual(z: np.ndarray) -> np.ndarray:
         return differentiate_at(z.tobytes())[..., -1].ravel()
