@@ -67,6 +67,7 @@ def test_recordings_become_coefficients(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 def test_a_study_is_made_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("study", tmp_path, monkeypatch)
     assert len(list((tmp_path / "study").glob("trials.csv"))) == 1
@@ -74,6 +75,7 @@ def test_a_study_is_made_and_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 def test_a_real_rig_says_what_it_concludes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("a_real_rig", tmp_path, monkeypatch)
     assert sorted(names["named"]) == ["B007", "B031", "B038", "B047"]

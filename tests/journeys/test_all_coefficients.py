@@ -40,6 +40,7 @@ def test_the_compressor_on_one_journal_bearing(artifacts: Artifacts, run: Run, t
         run("train", [f"experiment={NEGATIVE}"], tmp_path / NEGATIVE)
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_backward_run_cures_the_compressor(run: Run, tmp_path: Path) -> None:
     # The other core has a worker of pytest's own.
     backward = "machine=compressor_journal_and_isotropic_backward"
