@@ -91,7 +91,6 @@ def test_the_export_has_a_table_a_measured_state(run: Run, folder: Path) -> None
         ("machine.prediction.operating.oil_temperature=70 mm", "oil_temperature must convert to kelvin"),
     ],
 )
-@pytest.mark.usefixtures("no_pictures")
 def test_conditions_that_are_missing_or_unknown_are_refused(override: str, words: str, run: Run, folder: Path) -> None:
     with pytest.raises(ConfigError, match=words):
         run("predict", [*MACHINE, override], folder)
