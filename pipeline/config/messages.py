@@ -23,9 +23,10 @@ def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], mo
     """Every error of ``mapping`` against ``model`` as a line of its own, then the next step."""
     errors = error.errors(include_url=False)
     wrong_inside = {item["loc"][:n] for item in errors for n in range(len(item["loc"]))}
-    # A list whose items are wrong is "too short", since none of them counts.
-    errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside]
-    errors.sort(key=lambda item: item["type"] != "extra_forbidden")  # what is misspelt is why another is missing
+    # A list whose items are wrong is "too short", since none of them counts. What is misspelt comes first: for its sake
+    # another is missing.
+    counted = (item for item in errors if item["type"] != "too_short" or item["loc"] not in wrong_inside)
+    errors = sorted(counted, key=lambda item: item["type"] != "extra_forbidden")
     lines = list(dict.fromkeys(_explain(item, mapping, model) for item in errors))
     values = "this value" if len(lines) == 1 else f"these {len(lines)} values"
     machine = mapping.get("machine")

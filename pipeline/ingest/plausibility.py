@@ -91,26 +91,20 @@ def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:
 
     Readings of a run that was repeated differ by the share ``repeated`` at most (median).
     """
-    stated = {
-        r: frozenset(replace(excitation, run="") for excitation in dataset.excitation_of(r) if excitation.magnitude)
-        for r in range(len(dataset.runs))
-    }
-    notes = []
-    for a, b in combinations([r for r, acting in stated.items() if acting], 2):
-        seen = (dataset.displacement[..., [a, b]] != 0).all(axis=-1)
-        first, second = dataset.displacement[seen, a], dataset.displacement[seen, b]
-        off = float(np.median(np.abs(first - second) / np.abs(first))) if seen.any() else 0.0
+    every, notes = map(dataset.excitation_of, range(len(dataset.runs))), list[str]()
+    stated = [frozenset(replace(e, run="") for e in acting if e.magnitude) for acting in every]
+    for a, b in combinations([r for r, acting in enumerate(stated) if acting], 2):
+        pair = dataset.displacement[..., [a, b]]
+        first, second = pair[(pair != 0).all(axis=-1)].T
+        off = float(np.median(np.abs(first - second) / np.abs(first))) if len(first) else np.nan
+        runs = f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}'"
         if stated[a] == stated[b] and off > repeated:
             notes.append(
-                f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}' state the same weights, but their readings differ "
-                f"by {100 * off:.2g} % (median): correct the weight or the file of one; if one repeats the other, the "
-                "machine changed between them"
+                f"{runs} state the same weights, but their readings differ by {100 * off:.2g} % (median): correct the "
+                "weight or the file of one; if one repeats the other, the machine changed between them"
             )
-        if stated[a] != stated[b] and seen.any() and off == 0:
-            notes.append(
-                f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}' have the same readings, but state other weights: "
-                "correct the file of one"
-            )
+        elif stated[a] != stated[b] and off == 0:
+            notes.append(f"{runs} have the same readings, but state other weights: correct the file of one")
     return notes
 
 
