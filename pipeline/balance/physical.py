@@ -94,7 +94,8 @@ class Physical(LinearVibration):
         dataset = to_dataset(spread_conditions(unbalance, self.planes, self.speeds, self.channels))
         measurement = replace(self.measurement, dataset=dataset, drift=NO_LEVELS)
         made = output_error(measurement, self.problem.basis, self.problem.plane_scale)
-        plain = replace(made.readings, precision=tuple(map(torch.ones_like, made.readings.precision)), common=())
+        alike = tuple(map(torch.ones_like, made.readings.precision))
+        plain = replace(made.readings, precision=alike, common=(), records=())
         return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features, origin=made.origin)
 
 

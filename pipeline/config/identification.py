@@ -47,6 +47,9 @@ class ModelParametersConfig(Section):
     unbalance_phase: PositiveAngle | None = None
     weight_angle: PositiveAngle | None = None
     weight_law: WeightLaw | None = None
+    weight_gain: PositiveFloat | None = None
+    label_gain: PositiveFloat | None = None
+    label_angle: PositiveAngle | None = None
     probe_gain: PositiveShare | None = None
     probe_angle: PositiveAngle | None = None
     probe_position: Length | None = None

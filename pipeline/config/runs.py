@@ -87,12 +87,14 @@ def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced
 class NoiseConfig(Section):
     """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size.
 
-    ``drift`` is that of a condition's records together, where the conditions are too few to estimate it.
+    ``drift`` is that of a condition's records together, where the conditions are too few to estimate it. ``record`` is
+    the share by which all readings of a run at a speed are too large or too small together.
     """
 
     additive: Deviation
     multiplicative: Share
     drift: Deviation = 0.0
+    record: Share = 0.0
 
     @rule
     def _some(self) -> Iterator[str]:

@@ -20,10 +20,11 @@ class NoiseModel:
     additive: float  # m, root mean square
     multiplicative: float  # share of the reading, root mean square
     drift: float = 0.0  # m, root mean square, of the records of a condition together where nothing estimates it
+    record: float = 0.0  # standard deviation of a factor that all readings of a run at a speed share
 
     def with_drift(self) -> NoiseModel:
         """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
-        return NoiseModel(float(np.hypot(self.additive, self.drift)), self.multiplicative)
+        return replace(self, additive=float(np.hypot(self.additive, self.drift)), drift=0.0)
 
     def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | None = None) -> np.ndarray:
         """(.., S, P, R) m, root mean square of the noise of each reading.

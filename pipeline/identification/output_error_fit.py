@@ -183,7 +183,7 @@ def reweigh(problem: OutputError, weights: torch.Tensor, factor: np.ndarray, rob
     """
     readings, drift, predicted, shares = problem.readings, problem.measurement.drift, problem.predicted(weights), []
     for b, expected in enumerate(predicted):
-        off = (expected - readings.measured[b]).abs().numpy() / readings.deviation(b, expected.numpy(), factor)
+        off = readings.departure(b, expected.numpy(), factor)
         share = HUBER / np.maximum(off, HUBER) if robust else np.ones_like(off)
         shares.append(np.minimum(drift.weights, 1.0)[readings.runs[b]] * np.ones_like(off) if drift else share)
     return replace(problem, readings=readings.follow(predicted, factor, shares))
@@ -200,14 +200,15 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
 
     The squared modulus of circular noise has the median ln 2; the weights took their share of the rest.
     """
-    measurement, read = problem.measurement, problem.displacement(weights)
-    data = measurement.dataset
-    off = np.abs(read - data.displacement) / measurement.deviation_of(read, measurement.baseline)
+    data, readings = problem.measurement.dataset, problem.readings
+    off = np.empty(data.displacement.shape)
+    for b, predicted in enumerate(problem.predicted(weights)):
+        off[..., readings.runs[b]] = readings.departure(b, predicted[0].numpy())
     squared = np.nanmedian(np.where(data.present[:, None], off, np.nan) ** 2, axis=(0, 2)) / np.log(2.0)
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest
         used -= float((problem.covariance(weights)[0] * problem.prior.information().numpy()).sum())
-    rest = max(1.0 - used / problem.readings.size, 0.05)
+    rest = max(1.0 - used / readings.size, 0.05)
     return np.asarray(np.sqrt(squared / rest))
 
 

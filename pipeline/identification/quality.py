@@ -205,8 +205,10 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     import torch
 
     readings = fit.problem.readings
-    pairs = zip(readings.precision, readings.shares, strict=True)
-    whole = replace(readings, precision=tuple(every / torch.as_tensor(share).sqrt() for every, share in pairs))
+    roots = [torch.as_tensor(share).sqrt() for share in readings.shares]
+    precision = tuple(every / root for every, root in zip(readings.precision, roots, strict=True))
+    records = tuple(every / root for every, root in zip(readings.records, roots, strict=False))
+    whole = replace(readings, precision=precision, records=records)
     with np.errstate(all="ignore"):  # of a fit that ran away
         every = replace(fit.problem, readings=whole).deviations(fit.weights)
         return [np.asarray(deviation[0].numpy())[..., kept] / np.sqrt(2.0) for deviation in every]

@@ -42,6 +42,7 @@ class Readings:
     mixing: tuple[torch.Tensor, ...]  # (R, S P, S P) where noise ties probes and speeds together; none elsewhere
     precision: tuple[torch.Tensor, ...] = ()  # (G or 1, S, P, R) 1/m: root of 2 over the own deviation, for both parts
     common: tuple[torch.Tensor, ...] = ()  # likewise, a subtracted baseline's deviation over the own one; none without
+    records: tuple[torch.Tensor, ...] = ()  # likewise, complex: what one deviation of a record's factor moves; or none
     shares: tuple[np.ndarray, ...] = ()  # by which the precision has the readings count: less than one if far off
     correlation: float = 0.0  # of a reading's noise with that at the speed before
 
@@ -54,7 +55,7 @@ class Readings:
         """Those of some data sets or starts."""
         parts: dict[str, Any] = {
             name: tuple(each if len(each) == 1 else each[starts] for each in getattr(self, name))
-            for name in ("measured", "precision", "common")
+            for name in ("measured", "precision", "common", "records")
         }
         return replace(self, **parts)
 
@@ -65,7 +66,15 @@ class Readings:
     def whiten(self, b: int, rows: torch.Tensor) -> torch.Tensor:
         """Rows (G, S, P, R, n) of block b over each reading's own noise, without what runs share: with the deviations u
         of a subtracted baseline their covariance is 1 + u u', whose inverse root takes a part along u away.
+
+        So it is with the factor of a record, which moves both parts of its readings: a block of one number a record,
+        whose prior is normal about 1, eliminated.
         """
+        if self.records:
+            v = self.records[b][..., None]
+            square = v.abs().square().sum(2, keepdim=True)
+            share = (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
+            rows = rows - share * v * (v.conj() * rows).real.sum(2, keepdim=True)
         if not self.common:
             return rows
         u = self.common[b][..., None]
@@ -119,11 +128,22 @@ class Readings:
 
     def scaled(self, shares: torch.Tensor | float) -> Readings:
         """The same with precisions times ``shares``."""
-        return replace(self, precision=tuple(precision * shares for precision in self.precision))
+        parts: dict[str, Any] = {n: tuple(e * shares for e in getattr(self, n)) for n in ("precision", "records")}
+        return replace(self, **parts)
 
     def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
         """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
-        return self.measurement.deviation_of(predicted, self.measurement.baseline[..., self.runs[b]], factor)
+        return self.measurement.deviation_of(
+            predicted, self.measurement.baseline[..., self.runs[b]], factor, alone=True
+        )
+
+    def departure(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
+        """(.., S, P, R) own deviations that readings of block b are off by, at the likeliest factor of their record."""
+        own = self.deviation(b, predicted, factor)
+        off, moves = (predicted - self.measured[b].numpy()) / own, np.sqrt(2.0) * self.measurement.noise.record / own
+        moves = moves * predicted
+        along = (moves.conj() * off).real.sum(-2, keepdims=True) / (1 + (np.abs(moves) ** 2).sum(-2, keepdims=True))
+        return np.asarray(np.abs(off - moves * along))
 
     def present(self, b: int) -> torch.Tensor:
         """(S, 1, R) one where a run of block b was measured, zero elsewhere."""
@@ -144,16 +164,19 @@ class Readings:
         """
         import torch
 
-        measurement, precision, common = self.measurement, [], []
+        measurement, precision, common, records = self.measurement, [], [], []
         counted = tuple(shares) or (np.ones(1),) * len(self.runs)
         for b, expected in enumerate(predicted):
             taken = measurement.baseline[..., self.runs[b]]
-            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor)
+            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor, alone=True)
             precision.append(torch.as_tensor(np.sqrt(2.0 * counted[b]) / alone) * self.present(b))
+            if measurement.noise.record:
+                records.append(measurement.noise.record * expected * precision[-1])
             if measurement.baseline.any():
                 shared = np.where(taken != 0, measurement.deviation_of(taken, factor=factor), 0.0) / alone
                 common.append(torch.as_tensor(shared))
-        return replace(self, precision=tuple(precision), common=tuple(common), shares=counted)
+        every: dict[str, Any] = {"precision": tuple(precision), "common": tuple(common), "records": tuple(records)}
+        return replace(self, **every, shares=counted)
 
 
 def gather_readings(measurement: Measurement) -> Readings:

@@ -17,6 +17,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -261,9 +262,8 @@ def _square(fit: OutputErrorFit, factor: np.ndarray) -> float:
 
     first, total = fit.start.problem.readings, 0.0
     readings = first.scaled(1 / torch.as_tensor(factor)[:, None])
-    problem = replace(
-        fit.problem, readings=replace(fit.problem.readings, precision=readings.precision, common=first.common)
-    )
+    parts: dict[str, Any] = {"precision": readings.precision, "common": first.common, "records": readings.records}
+    problem = replace(fit.problem, readings=replace(fit.problem.readings, **parts))
     for deviations in problem.deviations(fit.weights):
         off = (deviations.abs() / math.sqrt(2.0)).numpy()
         total += float(np.where(off < HUBER, off**2, HUBER * (2 * off - HUBER)).sum())

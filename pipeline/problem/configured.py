@@ -200,8 +200,13 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     """From a data set that is at hand, and the ``known`` coefficients at its speeds."""
     require_synchronous(rotor, dataset)
     noise, model, identify = config.stated_noise, config.model, config.identify
+    if noise.record and np.any(dataset.subtracted):
+        raise ConfigError(
+            "stated_noise.record must be 0 where a baseline is subtracted, since a reading and its baseline are of two "
+            f"records, but got {noise.record:g}: leave out data.baseline (identify.unbalance_planes), or record"
+        )
     laws = config.machine.laws
-    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift), NO_LEVELS
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
         if suffices(conditions):

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
-from pipeline.rotor.parameters import OF_ALL_WEIGHTS, OF_WEIGHT, ModelParameter
+from pipeline.rotor.parameters import OF_ALL_WEIGHTS, OF_LABEL, OF_WEIGHT, ModelParameter
 
 PARTS = {"real": 1.0, "imaginary": 1j}
 """A complex number is two parameters: its parts, and the unit of each."""
@@ -29,6 +29,11 @@ def number_excitations(excitations: Sequence[Excitation]) -> Iterator[tuple[int,
     for excitation in excitations:
         seen[excitation.run] = seen.get(excitation.run, -1) + 1
         yield seen[excitation.run], excitation
+
+
+def label_of(excitation: Excitation) -> str:
+    """What is written on a weight: all of the same stated size are one weight, wherever they are put."""
+    return f"{1e6 * excitation.magnitude:.6g} g mm"
 
 
 # --- weights -------------------------------------------------------------------------------------------
@@ -51,37 +56,39 @@ def force_change(
     ``dataset`` has the weights as they are stated.
     """
     parameter, shifts = parameters[t], _shifts(parameters, values)
-    if parameter.kind not in (*OF_WEIGHT, *OF_ALL_WEIGHTS):
+    if parameter.kind not in _OF_ANY:
         return None
     changes = []
     for i, weight in number_excitations(dataset.excitations):
         if parameter.kind in OF_WEIGHT:
             acts = (weight.run, i) == (parameter.detail, parameter.place)
         else:
-            acts = weight.kind == "unbalance"
+            acts = weight.kind == "unbalance" and parameter.detail in ("", *PARTS, label_of(weight))
         if acts:
             changes.append(_vector(weight, parameter.deviation * _derive(weight, i, shifts, parameter)))
     return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
 
 
+_OF_ANY = (*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL)
 _Shifts = Mapping[tuple[str, str, int], float]
 
 
 def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts:
     """(kind, detail, place) -> what a weight's number moves by."""
-    kinds = (*OF_WEIGHT, *OF_ALL_WEIGHTS)
     every = zip(parameters, values, strict=True)
-    return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in kinds}
+    return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in _OF_ANY}
 
 
 def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
     """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
     common_shifts: _Shifts = shifts if excitation.kind == "unbalance" else {}
     law = sum((unit * common_shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
-    common = common_shifts.get(("weight_angle", "", 0), 0.0)
+    common, label = common_shifts.get(("weight_angle", "", 0), 0.0), label_of(excitation)
+    common += common_shifts.get(("label_angle", label, 0), 0.0)
+    gain = common_shifts.get(("weight_gain", "", 0), 0.0) + common_shifts.get(("label_gain", label, 0), 0.0)
     turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
-    size = excitation.magnitude * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))
-    return size, complex(np.exp(1j * turn)), law
+    size = excitation.magnitude * np.exp(gain) * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))
+    return float(size), complex(np.exp(1j * turn)), law
 
 
 def _effective(excitation: Excitation, i: int, shifts: _Shifts) -> complex:
@@ -93,7 +100,10 @@ def _derive(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelPar
     """The derivative of :func:`_effective` by the number itself."""
     size, turn, law = _parts(excitation, i, shifts)
     if parameter.kind == "unbalance_magnitude":
-        return turn * excitation.magnitude * (1 + 2 * law * size)
+        share = 1 + shifts[parameter.kind, excitation.run, i]
+        return turn * (size / share) * (1 + 2 * law * size)
+    if parameter.kind in ("weight_gain", "label_gain"):
+        return turn * size * (1 + 2 * law * size)
     if parameter.kind == "weight_law":
         return turn * size**2 * PARTS[parameter.detail]
     return 1j * _effective(excitation, i, shifts)

@@ -138,17 +138,19 @@ class Measurement:
         displacement: np.ndarray,
         baseline: np.ndarray | float = 0.0,
         factor: np.ndarray | float = 1.0,
+        alone: bool = False,
         least: float = 1e-15,
     ) -> np.ndarray:
         """(.., S, P, R) m of readings of another size, that a ``baseline`` was taken off.
 
-        ``factor`` (P,) is a channel's deviation over the stated one. A reading of zero without additive noise would
-        have none at all: it has the ``least``.
+        ``factor`` (P,) is a channel's deviation over the stated one. Of a reading ``alone``, without what all of its
+        record share. A reading of zero without additive noise would have none at all: it has the ``least``.
         """
         if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
         size = self.noise.deviation(displacement, np.asarray(baseline)) * np.asarray(factor)[..., None]
-        return np.asarray(np.maximum(size, least))
+        record = 0.0 if alone else self.noise.record
+        return np.asarray(np.maximum(np.hypot(size, record * np.abs(displacement)), least))
 
     @cached_property
     def equations(self) -> BearingEquations:

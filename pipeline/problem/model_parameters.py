@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset, name_direction, project_direction, synchronous
 from pipeline.errors import ConfigError
-from pipeline.problem.force_parameters import PARTS, number_excitations
+from pipeline.problem.force_parameters import PARTS, label_of, number_excitations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel, casing_dof
@@ -25,6 +25,7 @@ from pipeline.rotor.parameters import (
     OF_ALL_WEIGHTS,
     OF_COUPLING,
     OF_DISC,
+    OF_LABEL,
     OF_PROBE,
     OF_SHAFT,
     OF_SUPPORT,
@@ -121,7 +122,7 @@ def usual_deviations(
 
 _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
-    **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS), "no run with an unbalance"),
+    **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL), "no run with an unbalance"),
     **dict.fromkeys(OF_SUPPORT, "no support (machine.rotor.supports)"),
     "bearing_position": "bearings on soft ground",
     "known_coefficients": "no known coefficient other than zero",
@@ -164,6 +165,7 @@ def _list_places(
         for i, weight in number_excitations(dataset.excitations)
         if weight.kind == "unbalance"
     ]
+    labels = dict.fromkeys(label_of(w) for w in dataset.excitations if w.kind == "unbalance" and w.magnitude)
     discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
     probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
     on_casing = range(rotor.n_nodes, rotor.n_places)
@@ -185,7 +187,8 @@ def _list_places(
             for run in (*dataset.runs, *([] if dataset.subtracted is None else [BASELINE]))
         ],
         "probe_position": on_shaft,
-        "weight_angle": everywhere if weights else [],
+        **dict.fromkeys(("weight_angle", "weight_gain"), everywhere if weights else []),
+        **{kind: [(label, 0, label) for label in labels] for kind in OF_LABEL},
         "weight_law": [(component, 0, component) for component in parts if weights],
         "bearing_position": [(f"node {n}", b, "") for b, n in enumerate(rotor.bearing_nodes) if not rotor.casings],
         "bow": [
@@ -272,7 +275,7 @@ def _channel(
 
 def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
     """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
-    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, "runout", "bow", "bearing_drift")
+    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, *OF_LABEL, "runout", "bow", "bearing_drift")
     return tuple(
         replace(parameter, deviation=0.0, place=0) if parameter.kind in kept_out else parameter
         for parameter in parameters

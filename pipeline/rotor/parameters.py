@@ -40,6 +40,9 @@ UNITS = {
     "unbalance_phase": "rad",
     "weight_angle": "rad",
     "weight_law": "1/(kg m)",
+    "weight_gain": "ln",
+    "label_gain": "ln",
+    "label_angle": "rad",
     "probe_gain": "",
     "probe_angle": "rad",
     "probe_position": "m",
@@ -59,7 +62,8 @@ OF_SUPPORT = {
 }
 """Kinds whose logarithm is normal: the matrix that each is part of, and the unit of the number."""
 OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
-OF_ALL_WEIGHTS = ("weight_angle", "weight_law")
+OF_ALL_WEIGHTS = ("weight_angle", "weight_law", "weight_gain")
+OF_LABEL = ("label_gain", "label_angle")
 OF_PROBE = ("probe_gain", "probe_angle", "probe_position")
 
 

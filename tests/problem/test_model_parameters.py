@@ -45,6 +45,9 @@ DEVIATIONS = {
     "bow": 1e-5,
     "weight_angle": 0.2,
     "weight_law": 400.0,
+    "weight_gain": 0.3,
+    "label_gain": 0.1,
+    "label_angle": 0.1,
     "bearing_drift": 0.02,
 }
 
@@ -84,6 +87,8 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
         "bearing_position": 2,
         "bow": 4,
         "weight_law": 2,
+        "label_gain": 2,
+        "label_angle": 2,
         "unbalance_magnitude": 2,
         "unbalance_phase": 2,
         "probe_gain": 4,
