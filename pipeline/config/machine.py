@@ -190,7 +190,7 @@ class MachineConfig(Section):
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):
             yield f"must give every run a name of its own, but got {names}"
-        if self.rotor.supports and self.as_built:
+        if self.rotor.n_casings and self.as_built:
             yield "as_built must be left out where rotor.supports says what bearings stand on, but both are given"
         if self.rotor.file:
             return
@@ -215,7 +215,7 @@ class MachineConfig(Section):
         if not isinstance(self.probes.at, str):
             still += [("probes.at", probe.node) for probe in self.probes.at]
         n_nodes = self.rotor.n_nodes  # with casings, which do not turn
-        for used, last in ((turning, n_nodes - 1 - len(self.rotor.supports)), (still, n_nodes - 1)):
+        for used, last in ((turning, n_nodes - 1 - self.rotor.n_casings), (still, n_nodes - 1)):
             for what, node in used:
                 if node > last:
                     yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import PositiveInt
+from pydantic import Field, PositiveInt
 
-from pipeline.config.quantities import Bore, Damping, Density, Inertia, Length, Mass, Pressure, Stiffness
+from pipeline.config.quantities import Bore, Damping, Density, Frequency, Inertia, Length, Mass, Pressure, Stiffness
 from pipeline.config.section import NonNegativeInt, Once, Section, ascending, rule
 
 
@@ -82,11 +82,40 @@ class SupportConfig(Section):
         }
 
 
+class BaseModeConfig(Section):
+    """A mode of a base: its ``participation`` is the motion in x and y of each point, normalised to unit modal mass."""
+
+    frequency: Frequency
+    damping_ratio: Annotated[float, Field(ge=0, lt=1)]
+    participation: tuple[tuple[float, float], ...]
+
+
+class BaseConfig(Section):
+    """A base that pedestals share, by its modes without the rotor.
+
+    ``points`` are bearing nodes: the first of a node is its pedestal, further ones are places of probes beside it.
+    """
+
+    points: tuple[NonNegativeInt, ...] = ()
+    modes: tuple[BaseModeConfig, ...] = ()
+
+    @rule
+    def _lawful(self) -> Iterator[str]:
+        if bool(self.points) != bool(self.modes):
+            yield "must have both points and modes, or neither"
+        for mode in self.modes:
+            if len(mode.participation) != len(self.points):
+                yield (
+                    f"must give every mode the participation of each of {len(self.points)} points, but got "
+                    f"{len(mode.participation)}"
+                )
+
+
 class RotorConfig(Section):
     """Shaft, discs and bearing nodes; or ``file``, a rotor saved by ROSS (.toml, .json).
 
     ``supports`` are those of bearings on soft ground: the casing of the first is the node after the shaft's last, and
-    so on.
+    so on; so are the points of a ``base`` that bearings share.
     """
 
     file: str | None = None
@@ -95,16 +124,24 @@ class RotorConfig(Section):
     discs: tuple[DiscConfig, ...] = ()
     bearing_nodes: Annotated[tuple[NonNegativeInt, ...], Once] = ()
     supports: tuple[SupportConfig, ...] = ()
+    base: BaseConfig = BaseConfig()
     shear_effects: bool = True
     rotary_inertia: bool = True  # of the shaft
 
     @property
     def n_nodes(self) -> int:
         """Nodes of the shaft and casings; the shaft of a file has its own."""
-        return sum(segment.elements for segment in self.shaft) + 1 + len(self.supports)
+        return sum(segment.elements for segment in self.shaft) + 1 + self.n_casings
+
+    @property
+    def n_casings(self) -> int:
+        """Casings on supports, or points of a base."""
+        return len(self.supports) + len(self.base.points)
 
     @rule
     def _nodes_exist(self) -> Iterator[str]:
+        if self.supports and self.base.points:
+            yield "must have supports or a base, but both are given: a support is a base of a mode in x and one in y"
         if self.file:
             return
         if not self.shaft or not self.material or not self.bearing_nodes:

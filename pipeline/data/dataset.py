@@ -138,11 +138,8 @@ class VibrationDataset:
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        matrix = np.zeros((len(self.channels), rotor.n_dof))
-        for p, (node, angle) in enumerate(self.channels):
-            for seen, sign in rotor.views(node):
-                matrix[p, translation_dof(seen, 0) + np.arange(2)] = sign * np.array(project_direction(angle))
-        return matrix
+        rows = [np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels]
+        return np.stack(rows)
 
     def shares(self, node: int, angle: float) -> np.ndarray:
         """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it

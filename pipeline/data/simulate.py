@@ -22,7 +22,7 @@ from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems, banded, solve
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -74,12 +74,9 @@ def show_everywhere(
     """x and y at every node that a probe may have, of a ``response`` (S, n, R) in m and rad."""
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     channels = tuple((node, angle) for node in range(rotor.n_views) for angle in DIRECTIONS.values())
-    both = np.arange(TRANSLATIONS)
-    seen = [
-        sum(sign * response[:, translation_dof(place, 0) + both] for place, sign in rotor.views(node))
-        for node in range(rotor.n_views)
-    ]
-    shown = np.concatenate(seen, axis=1)
+    shaft = np.arange(DOF_PER_NODE * rotor.n_nodes).reshape(-1, DOF_PER_NODE)[:, :TRANSLATIONS].ravel()
+    seen = [rotor.show(node) @ response for node in range(rotor.n_nodes, rotor.n_views)]
+    shown = np.concatenate([response[:, shaft], *seen], axis=1)
     return VibrationDataset(
         bearings.speeds, runs, channels, shown, excitations, own_frequencies, operating=bearings.operating
     )

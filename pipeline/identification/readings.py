@@ -139,11 +139,10 @@ class Readings:
 
     def departure(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
         """(.., S, P, R) own deviations that readings of block b are off by, at the likeliest factor of their record."""
-        own = self.deviation(b, predicted, factor)
-        off, moves = (predicted - self.measured[b].numpy()) / own, np.sqrt(2.0) * self.measurement.noise.record / own
-        moves = moves * predicted
-        along = (moves.conj() * off).real.sum(-2, keepdims=True) / (1 + (np.abs(moves) ** 2).sum(-2, keepdims=True))
-        return np.asarray(np.abs(off - moves * along))
+        noise = self.deviation(b, predicted, factor)
+        off, moves = (predicted - self.measured[b].numpy()) / noise, self.measurement.noise.record * predicted / noise
+        share = (moves.conj() * off).real.sum(-2, keepdims=True) / (0.5 + (np.abs(moves) ** 2).sum(-2, keepdims=True))
+        return np.asarray(np.abs(off - moves * share))
 
     def present(self, b: int) -> torch.Tensor:
         """(S, 1, R) one where a run of block b was measured, zero elsewhere."""
@@ -229,7 +228,7 @@ class SensorModel:
         import torch
 
         influence = self.measurement.unknowns.influence
-        every = np.pad(influence, ((0, len(self.measurement.rotor.casings)), (0, 0), (0, 0)))
+        every = np.pad(influence, ((0, self.measurement.rotor.n_ground), (0, 0), (0, 0)))
         return torch.as_tensor(every.reshape(every.shape[0] * every.shape[1], -1))
 
     @cached_property
@@ -239,7 +238,7 @@ class SensorModel:
 
         measurement, n_speeds = self.measurement, len(self.measurement.dataset.speeds)
         others = np.where(measurement.unknowns.identified[:, None], 0.0, measurement.updated_known.values)  # (B, S, 8)
-        every = np.pad(others, ((0, len(measurement.rotor.casings)), (0, 0), (0, 0)))
+        every = np.pad(others, ((0, measurement.rotor.n_ground), (0, 0), (0, 0)))
         return torch.as_tensor(every.swapaxes(0, 1).reshape(n_speeds, -1))
 
     @cached_property

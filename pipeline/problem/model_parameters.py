@@ -19,7 +19,7 @@ from pipeline.data.dataset import DIRECTIONS, VibrationDataset, name_direction, 
 from pipeline.errors import ConfigError
 from pipeline.problem.force_parameters import PARTS, label_of, number_excitations
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.interpolation import shaft_rows
+from pipeline.rotor.interpolation import move_casing, shaft_rows
 from pipeline.rotor.model import RotorModel, casing_dof
 from pipeline.rotor.parameters import (
     OF_ALL_WEIGHTS,
@@ -53,7 +53,7 @@ def model_parameters(
         kind_parameters = [ModelParameter(kind, deviation, *place) for place in places.get(kind, ())]
         if kind in OF_SUPPORT:
             held = np.diagonal(getattr(rotor, OF_SUPPORT[kind][0]))[casing_dof(rotor)].ravel()
-            kind_parameters = [replace(p, stated=float(n)) for p, n in zip(kind_parameters, held, strict=True)]
+            kind_parameters = [replace(p, stated=float(n)) for p, n in zip(kind_parameters, held, strict=False)]
         if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
                 raise ConfigError(
@@ -123,7 +123,10 @@ def usual_deviations(
 _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
     **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL), "no run with an unbalance"),
-    **dict.fromkeys(OF_SUPPORT, "no support (machine.rotor.supports)"),
+    **dict.fromkeys(
+        OF_SUPPORT, "no support (machine.rotor.supports), or a base, whose modal masses are 1 by definition"
+    ),
+    "base_participation": "no base (machine.rotor.base)",
     "bearing_position": "bearings on soft ground",
     "known_coefficients": "no known coefficient other than zero",
     "probe_position": "probes on casings alone",
@@ -168,10 +171,18 @@ def _list_places(
     labels = dict.fromkeys(label_of(w) for w in dataset.excitations if w.kind == "unbalance" and w.magnitude)
     discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
     probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
-    on_casing = range(rotor.n_nodes, rotor.n_places)
+    on_casing = range(rotor.n_nodes, rotor.n_nodes + len(rotor.casings))
     on_shaft = [probe for probe in probes if dataset.channels[probe[1]][0] not in on_casing]
-    casings = [(node, rotor.n_nodes + i) for i, node in enumerate(rotor.casings)]
-    supports = [(f"node {node} {axis}", casing, axis) for node, casing in casings for axis in DIRECTIONS]
+    labels_of_ground = [f"node {node} {axis}" for node in rotor.casings for axis in DIRECTIONS]
+    if rotor.participation.size:
+        labels_of_ground = [f"mode {r + 1}" for r in np.flatnonzero(rotor.participation.any(axis=(0, 1)))]
+    ground = [(rotor.n_nodes + c, axis) for c in range(rotor.n_ground) for axis in DIRECTIONS]
+    supports = [(label, *place) for label, place in zip(labels_of_ground, ground, strict=False)]
+    shaken = [
+        (f"mode {r + 1} at node {rotor.n_nodes + q} {'xy'[d]}", i, "")
+        for i, (q, d, r) in enumerate(np.ndindex(rotor.participation.shape))
+        if rotor.participation[:, :, r].any()
+    ]
     shown = dataset.subtracted is None and turns_with_rotor(dataset).any()
     bent = [(label, node) for label, node, _ in discs if node not in rotor.bearing_nodes]
     free = np.argwhere(~unknowns.identified & known.values.any(axis=1))
@@ -181,6 +192,8 @@ def _list_places(
         **dict.fromkeys(OF_WEIGHT, weights),
         **dict.fromkeys(OF_PROBE, probes),
         **dict.fromkeys(OF_SUPPORT, supports),
+        "support_mass": [] if shaken else supports,
+        "base_participation": shaken,
         "bearing_drift": [
             (f"node {node} {run or 'baseline'}", b, run)
             for b, node in enumerate(rotor.bearing_nodes)
@@ -228,6 +241,12 @@ def sensor_change(
     values: np.ndarray,
 ) -> np.ndarray | None:
     """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that is none of a probe's."""
+    if parameter.kind == "base_participation":  # linear
+        moved, matrix = (
+            move_casing(rotor, parameter.place, parameter.deviation),
+            sensor_matrix(dataset, rotor, parameters, values),
+        )
+        return np.asarray(sensor_matrix(dataset, moved, parameters, values) - matrix)
     if parameter.kind not in OF_PROBE:
         return None
     probe = _probe(parameters, values, parameter.place)
@@ -290,7 +309,7 @@ def support_change(parameters: Sequence[ModelParameter], rotor: RotorModel, freq
 
     At ``frequencies`` w (S,) rad/s, where a mass m is the stiffness ``-w^2 m``.
     """
-    result = np.zeros((len(frequencies), len(rotor.casings), len(COEFFICIENTS), len(parameters)))
+    result = np.zeros((len(frequencies), rotor.n_ground, len(COEFFICIENTS), len(parameters)))
     share: dict[str, tuple[str, Any]] = {
         "support_stiffness": ("k", 1.0),
         "support_damping": ("c", 1.0),

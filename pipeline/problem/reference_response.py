@@ -20,9 +20,9 @@ from pipeline.problem.force_parameters import bow_change, bow_force, force_chang
 from pipeline.problem.model_parameters import runout, sensor_change, sensor_matrix, turns_with_rotor
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
-from pipeline.rotor.interpolation import bearing_places, shaft_rows
+from pipeline.rotor.interpolation import bearing_places, bearing_slopes
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, casing_dof, translation_dof
-from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
+from pipeline.rotor.parameters import MOVED, ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
 """Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""
@@ -161,7 +161,7 @@ def response_variations(
                 right[..., forced] += force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
                 right[..., forced] += bent[:, None] * turns[runs]
-            if parameter.kind == "bearing_position":
+            if parameter.kind in MOVED:
                 tilted, beside = _tilt(updated, parameter, reference, solved)
                 right += tilted
             response = right
@@ -182,17 +182,14 @@ def response_variations(
 def _tilt(
     rotor: RotorModel, parameter: ModelParameter, reference: complex, response: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the place of a bearing moves: (S, n, R + N + 2 B) on the right, and (S, 2 B, ..) of its own motion.
+    """What the place of a bearing moves: (S, n, R + N + 2 B) on the right, and (S, 2 B, ..) of their own motion.
 
     With the bearing's rows c on the matrices, ``D + c' H0 c`` has the derivative ``dc' H0 c + c' H0 dc``.
     """
-    b, count = parameter.place, TRANSLATIONS * len(rotor.bearing_nodes)
-    node, shift = rotor.bearing_nodes[b], rotor.bearing_shifts[b] if rotor.bearing_shifts else 0.0
-    rows, slopes = (shaft_rows(rotor, node, shift, slope) for slope in (False, True))
-    slopes = parameter.deviation * slopes
+    rows = bearing_places(rotor).loads(rotor.n_dof).T
+    slopes = parameter.deviation * bearing_slopes(rotor, MOVED[parameter.kind], parameter.place)
     right = -reference * (slopes.T @ (rows @ response) + rows.T @ (slopes @ response))
-    translations = slice(TRANSLATIONS * b, TRANSLATIONS * (b + 1))
-    right[..., response.shape[-1] - count :][..., translations] += slopes.T
-    displaced = np.zeros((len(response), count, response.shape[-1]), dtype=complex)
-    displaced[:, translations] = slopes @ response
-    return right, displaced
+    beside = TRANSLATIONS * rotor.n_ground
+    first = response.shape[-1] - len(rows) - beside
+    right[..., first : first + len(rows)] += slopes.T
+    return right, np.pad(slopes @ response, ((0, 0), (0, beside), (0, 0)))

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import DOF_PER_NODE, RotorModel, seal_dof
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel, casing_dof, seal_dof
 from pipeline.rotor.seals import Seals
 
 _NO_BLOCKS = np.empty((0, 0))
@@ -43,12 +43,14 @@ class BandedStiffness:
 def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
     """The rotor's matrices as diagonals, for all DOF or the ascending ``dof`` only."""
     dof = np.arange(rotor.n_dof) if dof is None else dof
-    positions = np.array([*range(rotor.n_nodes), *(node + 0.5 for node in rotor.casings)])
+    reach, by = rotor.reach, np.array(rotor.casings) + 0.5
+    positions = np.array([*range(rotor.n_nodes), *(by[(reach == x).any(axis=1)].mean() for x, _ in casing_dof(rotor))])
     order = np.argsort(positions[dof // DOF_PER_NODE], kind="stable")
     ordered = dof[order]
     blocks = [a[np.ix_(ordered, ordered)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     rows, columns = np.nonzero(np.any([block != 0 for block in blocks], axis=0))
-    least = DOF_PER_NODE + 1 if rotor.casings else 0  # from x of a bearing's node to y of its casing
+    # A bearing couples its node with what moves its casing.
+    least = np.ptp(_locate(bearing_places(rotor).dof, ordered), axis=1).max(initial=0) if rotor.casings else 0
     bandwidth = int(np.abs(rows - columns).max(initial=least))
     places = _locate(seal_dof(rotor), ordered)
     bandwidth = max(bandwidth, int((places >= 0).all(axis=-1).any()))  # x and y of a seal lie side by side
@@ -57,9 +59,9 @@ def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
 
 
 def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
-    """Positions of the ``wanted`` (T, 2) within ``dof`` (m,); -1 where they are not."""
+    """Positions of the ``wanted`` (T, k) within ``dof`` (m,); -1 where they are not."""
     positions = {int(index): i for i, index in enumerate(dof)}
-    return np.array([[positions.get(int(index), -1) for index in pair] for pair in wanted], dtype=int).reshape(-1, 2)
+    return np.array([positions.get(int(index), -1) for index in wanted.ravel()], dtype=int).reshape(wanted.shape)
 
 
 def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:

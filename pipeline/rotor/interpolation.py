@@ -9,11 +9,12 @@ Legend: N nodes, n lateral DOF, B bearings, S speeds, R right-hand sides. SI uni
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, bearing_dof, casing_dof, translation_dof
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, bearing_dof, translation_dof
 
 
 def shaft_rows(rotor: RotorModel, node: int, shift: float, slope: bool = False) -> np.ndarray:
@@ -21,12 +22,14 @@ def shaft_rows(rotor: RotorModel, node: int, shift: float, slope: bool = False) 
 
     Beyond its ends the shaft goes on straight. At a node itself the slope is that of the element that follows.
     """
-    views, rows = rotor.views(node), np.zeros((TRANSLATIONS, rotor.n_dof))
-    if len(views) > 1:
-        return np.asarray(sum(sign * shaft_rows(rotor, seen, shift, slope) for seen, sign in views))
-    if node >= rotor.n_nodes:  # a casing, which has no length
-        rows[:, translation_dof(node, 0) + np.arange(TRANSLATIONS)] = 0.0 if slope else np.eye(TRANSLATIONS)
-        return rows
+    rows, i = np.zeros((TRANSLATIONS, rotor.n_dof)), node - rotor.n_nodes
+    if i >= 0:  # a casing has no length
+        still = 0.0 if slope else rotor.show(node)
+        relative = i - len(rotor.casings)
+        if relative < 0:
+            return rows + still
+        seen = rotor.casings[relative]
+        return np.asarray(still + shaft_rows(rotor, seen, shift, slope) - (0.0 if slope else rotor.show(seen)))
     dof, shape, turn = _element(rotor, node, shift)
     four = turn if slope else shape
     rows[0, dof[[0, 3, 4, 7]]] = four  # x' = beta
@@ -102,9 +105,11 @@ def bearing_places(rotor: RotorModel) -> BearingPlaces:
     """Where the rotor's bearings act."""
     nodes, dof = rotor.bearing_nodes, bearing_dof(rotor)
     if rotor.casings:
-        held, eye = dict(zip(rotor.casings, casing_dof(rotor), strict=True)), np.eye(TRANSLATIONS)
-        beside = [held.get(node, pair + TRANSLATIONS) for node, pair in zip(nodes, dof, strict=True)]
-        shares = [np.hstack([eye, -eye if node in held else 0.0 * eye]) for node in nodes]
+        reach, shapes, eye = rotor.reach, rotor.shapes, np.eye(TRANSLATIONS)
+        on = [rotor.casings.index(node) if node in rotor.casings else -1 for node in nodes]
+        elsewhere = dof + TRANSLATIONS if reach.shape[1] == TRANSLATIONS else reach[:1].repeat(len(nodes), axis=0)
+        beside = [reach[i] if i >= 0 else elsewhere[b] for b, i in enumerate(on)]
+        shares = [np.hstack([eye, (-1.0 if i >= 0 else 0.0) * shapes[i]]) for i in on]
         return BearingPlaces(np.hstack([dof, np.array(beside)]), np.stack(shares))
     if not any(rotor.bearing_shifts):
         return BearingPlaces(dof, np.broadcast_to(np.eye(TRANSLATIONS), (len(nodes), TRANSLATIONS, TRANSLATIONS)))
@@ -120,3 +125,22 @@ def move_bearing(rotor: RotorModel, bearing: int, shift: float) -> RotorModel:
     shifts = np.array(rotor.bearing_shifts or [0.0] * len(rotor.bearing_nodes))
     shifts[bearing] += shift
     return replace(rotor, bearing_shifts=tuple(shifts.tolist()))
+
+
+def move_casing(rotor: RotorModel, place: int, shift: float) -> RotorModel:
+    """The same with one participation of the base, by its ``place`` among them all, that is by ``shift`` larger."""
+    participation = rotor.participation.copy()
+    participation.flat[place] += shift
+    return replace(rotor, participation=participation)
+
+
+def bearing_slopes(rotor: RotorModel, move: Callable[[RotorModel, int, float], RotorModel], place: int) -> np.ndarray:
+    """(2 B, n) derivative of what bearings feel of the DOF, by the shift of one or of a casing's participation."""
+    if move is move_casing:  # linear
+        return np.asarray(
+            (bearing_places(move(rotor, place, 1.0)).loads(rotor.n_dof) - bearing_places(rotor).loads(rotor.n_dof)).T
+        )
+    rows = np.zeros((TRANSLATIONS * len(rotor.bearing_nodes), rotor.n_dof))
+    shift = rotor.bearing_shifts[place] if rotor.bearing_shifts else 0.0
+    rows[TRANSLATIONS * place : TRANSLATIONS * (place + 1)] = shaft_rows(rotor, rotor.bearing_nodes[place], shift, True)
+    return rows

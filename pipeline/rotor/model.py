@@ -7,7 +7,7 @@ DOF are uncoupled from these and left out. SI units.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,7 @@ class RotorModel:
     supported_nodes: tuple[int, ...] = ()  # bearing nodes whose supports are part of the bearing
     bearing_shifts: tuple[float, ...] = ()  # B m, of each bearing beyond its node along the shaft; none for all zero
     casings: tuple[int, ...] = ()  # bearing nodes that stand on soft ground: their casings are the nodes N, N + 1, ..
+    participation: np.ndarray = field(default_factory=lambda: np.empty((0, TRANSLATIONS, 0)))  # see :attr:`shapes`
 
     @property
     def n_nodes(self) -> int:
@@ -45,18 +46,42 @@ class RotorModel:
 
     @property
     def n_places(self) -> int:
-        """Nodes of the shaft and casings: all that moves."""
+        """Nodes of the shaft and C of the ground, whose x and y are those of a casing, or coordinates of a base."""
         return self.n_dof // DOF_PER_NODE
 
     @property
-    def n_views(self) -> int:
-        """Nodes that probes may have: those that move, and for each casing the shaft's motion less it."""
-        return self.n_places + len(self.casings)
+    def n_ground(self) -> int:
+        """C."""
+        return self.n_places - self.n_nodes
 
-    def views(self, node: int) -> tuple[tuple[int, float], ...]:
-        """The moving nodes that a probe with this ``node`` shows, and their signs."""
-        i = node - self.n_places
-        return ((node, 1.0),) if i < 0 else ((self.casings[i], 1.0), (self.n_nodes + i, -1.0))
+    @property
+    def reach(self) -> np.ndarray:
+        """(Q, k) the DOF of the ground that each casing moves with: its own, or all modes of the base."""
+        dof = casing_dof(self)
+        return np.tile(dof.ravel(), (len(self.casings), 1)) if self.participation.size else dof
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """(Q, 2, k) how: as it is, or by the participation (Q, 2, 2 C) in the modes of a base, 1/sqrt(kg)."""
+        alone = np.broadcast_to(np.eye(TRANSLATIONS), (len(self.casings), TRANSLATIONS, TRANSLATIONS))
+        return self.participation if self.participation.size else alone
+
+    @property
+    def n_views(self) -> int:
+        """Nodes that probes may have: shaft and casings, and for each casing the shaft's motion less it."""
+        return self.n_nodes + 2 * len(self.casings)
+
+    def show(self, node: int) -> np.ndarray:
+        """(2, n) x and y that a probe with this ``node`` shows of the DOF."""
+        rows, i = np.zeros((TRANSLATIONS, self.n_dof)), node - self.n_nodes
+        relative = i >= len(self.casings)
+        if i >= 0:
+            i -= relative * len(self.casings)
+            rows[:, self.reach[i]] = -self.shapes[i] if relative else self.shapes[i]
+            node = self.casings[i]
+        if i < 0 or relative:
+            rows[:, translation_dof(node, 0) + np.arange(TRANSLATIONS)] = np.eye(TRANSLATIONS)
+        return rows
 
     @property
     def view_positions(self) -> np.ndarray:
@@ -80,7 +105,7 @@ class RotorModel:
         if len(self.seals.rows):
             digest.update(self.seals.rows.tobytes())
         if self.casings:
-            digest.update(np.array(self.casings).tobytes())
+            digest.update(np.array(self.casings).tobytes() + self.participation.tobytes())
         if any(self.bearing_shifts):
             digest.update(np.array(self.bearing_shifts).tobytes())
         return digest.hexdigest()[:16]
@@ -97,8 +122,8 @@ def bearing_dof(rotor: RotorModel) -> np.ndarray:
 
 
 def casing_dof(rotor: RotorModel) -> np.ndarray:
-    """(C, 2) indices of x and y of each casing."""
-    return _translations(tuple(range(rotor.n_nodes, rotor.n_nodes + len(rotor.casings))))
+    """(C, 2) indices of x and y of each node of the ground."""
+    return _translations(tuple(range(rotor.n_nodes, rotor.n_places)))
 
 
 def seal_dof(rotor: RotorModel) -> np.ndarray:

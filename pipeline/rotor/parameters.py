@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.rotor.interpolation import move_bearing
+from pipeline.rotor.interpolation import move_bearing, move_casing
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
 from pipeline.rotor.seals import NO_SEALS
 
@@ -35,6 +35,7 @@ UNITS = {
     "support_stiffness": "ln",
     "support_damping": "ln",
     "support_mass": "ln",
+    "base_participation": "1/sqrt(kg)",
     "bow": "m",
     "unbalance_magnitude": "",
     "unbalance_phase": "rad",
@@ -61,6 +62,8 @@ OF_SUPPORT = {
     "support_mass": ("mass", "kg"),
 }
 """Kinds whose logarithm is normal: the matrix that each is part of, and the unit of the number."""
+MOVED = {"bearing_position": move_bearing, "base_participation": move_casing}
+"""Kinds that move what a bearing feels of the DOF, by the rotor, the parameter's place and its shift."""
 OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
 OF_ALL_WEIGHTS = ("weight_angle", "weight_law", "weight_gain")
 OF_LABEL = ("label_gain", "label_angle")
@@ -73,13 +76,14 @@ class ModelParameter:
 
     ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
     ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
-    ``bearing_position`` moves a bearing along the shaft; its matrices stay, and the bearing's places on them change.
+    ``bearing_position`` moves a bearing along the shaft, and ``base_participation`` a casing in a mode; their matrices
+    stay, and the bearing's places on them change.
     """
 
     kind: str
     deviation: float  # prior standard deviation in the unit of the kind
     label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
-    place: int = 0  # node, position among the run's excitations, channel, or bearing
+    place: int = 0  # node, position among the run's excitations, channel, bearing, or participation of a base
     detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
     stated: float = 0.0  # SI, of a support
 
@@ -134,8 +138,8 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values
     """The rotor at parameters ``values`` (T,), in prior deviations."""
     sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
     for parameter, value in zip(parameters, values, strict=True):
-        if parameter.kind == "bearing_position" and value:
-            rotor = move_bearing(rotor, parameter.place, float(value) * parameter.deviation)
+        if parameter.kind in MOVED and value:
+            rotor = MOVED[parameter.kind](rotor, parameter.place, float(value) * parameter.deviation)
         change = rotor_change(parameter, rotor) if value else None
         if change is not None:
             step = parameter.step(value)

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
+from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.parameters import OF_COUPLING, ModelParameter
 from pipeline.rotor.ross_adapter import make_rotor, ross
@@ -23,7 +24,7 @@ def export_rotor(
     Supports of a rotor file are part of the bearings as the shaft feels them; those beside it are elements between
     casing and ground. Seals and masses on the shaft stay. A fitted coupling is a bearing element of its own.
 
-    Raises ConfigError where the rotor file can't be read.
+    Raises ConfigError where the rotor file can't be read, and for a base.
     """
     rs, base = ross(), make_rotor(config)
     shifted = {
@@ -38,6 +39,11 @@ def export_rotor(
         mass, inertia = (1.0 + shifted.get((kind, element.n), 0.0) for kind in ("disc_mass", "disc_inertia"))
         discs.append(
             rs.DiskElement(element.n, mass * element.m, inertia * element.Id, inertia * element.Ip, tag=element.tag)
+        )
+    if config.base.points:
+        raise ConfigError(
+            "a rotor must stand on the ground or on supports to be written for ROSS, whose elements hold no modes of a "
+            "base, but machine.rotor.base gives some: leave the base out"
         )
     last = len(base.nodes) - 1
     masses = [one for one in base.point_mass_elements if one.n <= last]

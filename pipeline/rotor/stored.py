@@ -17,7 +17,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.seals import Seals
-from pipeline.rotor.soft_ground import put_on_supports
+from pipeline.rotor.soft_ground import put_on_base, put_on_supports
 
 if TYPE_CHECKING:
     from pipeline.config import runs
@@ -42,7 +42,7 @@ def hash_rotor(config: RotorConfig) -> str:
     file = Path(config.file or "")
     return hash_parts(
         # Where a rotor file lies makes no other rotor, and what it stands on no other shaft.
-        json.dumps(config.model_dump(mode="json", exclude={"file", "supports"}), sort_keys=True),
+        json.dumps(config.model_dump(mode="json", exclude={"file", "supports", "base"}), sort_keys=True),
         file.read_bytes() if file.is_file() else b"",
         file.suffix,
         importlib.metadata.version("ross-rotordynamics"),
@@ -55,7 +55,7 @@ def load_rotor(config: RotorConfig) -> RotorModel:
 
     Raises ConfigError where ``config.file`` can't be read, and for a support where no bearing is.
     """
-    return put_on_supports(_load_shaft(config), config.supports)
+    return put_on_base(put_on_supports(_load_shaft(config), config.supports), config.base)
 
 
 def _load_shaft(config: RotorConfig) -> RotorModel:
@@ -130,8 +130,8 @@ def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | No
 def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
     """Raise ConfigError for a node that a rotor from a file lacks; other rotors are checked with the configuration."""
     for node in nodes:
-        if node >= rotor.n_places:
-            raise ConfigError(f"{key} must use nodes 0 to {rotor.n_places - 1} of the rotor, but got node {node}")
+        if node >= (last := rotor.n_nodes + len(rotor.casings)):
+            raise ConfigError(f"{key} must use nodes 0 to {last - 1} of the rotor, but got node {node}")
 
 
 def place_probe(rotor: RotorModel, key: str, probe: ProbeConfig | runs.ProbeConfig) -> int:
@@ -148,7 +148,7 @@ def place_probe(rotor: RotorModel, key: str, probe: ProbeConfig | runs.ProbeConf
             f"({', '.join(map(str, rotor.casings)) or 'nowhere'}), but got node {probe.node} with measures: "
             f"{probe.measures}; state the support, or leave measures out"
         )
-    first = rotor.n_nodes if probe.measures == "casing" else rotor.n_places
+    first = rotor.n_nodes if probe.measures == "casing" else rotor.n_nodes + len(rotor.casings)
     return first + rotor.casings.index(probe.node)
 
 

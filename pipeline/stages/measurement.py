@@ -59,7 +59,7 @@ def load_dataset(config: Config) -> VibrationDataset:
     # Conditions of the experiment's own files were joined when they were written.
     same = None if files.own else config.data.same_conditions
     n_nodes = section.n_nodes if section.file is None else None
-    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same, len(section.supports))
+    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same, section.n_casings)
 
 
 def _require_data(config: Config, *beside: Path) -> None:

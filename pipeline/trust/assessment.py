@@ -37,7 +37,7 @@ def _may_have_supports(config: Config) -> bool:
     """Whether a support may be part of what is identified: anywhere but in a simulation of the machine as modelled, and
     where supports are stated beside the bearings."""
     simulated = not _is_given(config) and config.machine.recordings.format == "none"
-    return not config.machine.rotor.supports and (not simulated or config.machine.as_built is not None)
+    return not config.machine.rotor.n_casings and (not simulated or config.machine.as_built is not None)
 
 
 def _is_given(config: Config) -> bool:

@@ -81,7 +81,7 @@ def measurement() -> Measurement:
 def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
     """One for each disc, weight, probe and known coefficient."""
     count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in UNITS}
-    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys(OF_SUPPORT, 0) | {
+    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys((*OF_SUPPORT, "base_participation"), 0) | {
         "disc_mass": 2,
         "disc_inertia": 2,
         "bearing_position": 2,

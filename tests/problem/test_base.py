@@ -1,0 +1,141 @@
+"""A base that pedestals share: against a dense closed form of its modes, and what a fit of exact readings gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.config.rotor import RotorConfig
+from pipeline.data.dataset import DIRECTIONS, Excitation
+from pipeline.data.sensors import NoiseModel, project
+from pipeline.data.simulate import simulate
+from pipeline.errors import ConfigError
+from pipeline.identification.fit import default_setup, fit
+from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.model_parameters import model_parameters
+from pipeline.problem.slopes import ReadingSlopes
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_export import export_rotor
+from pipeline.rotor.stored import load_rotor
+from pipeline.twin.modes import find_modes
+from pipeline.unknowns import BearingUnknowns, unknown_set
+
+NODES, SPEEDS = (1, 6), np.linspace(40.0, 500.0, 40)
+FILMS = ((2e7, 3e6, -4e6, 1.5e7, 2e4, 1e3, 2e3, 1.5e4), (1e7, 1e6, -2e6, 2.5e7, 1e4, 1e3, 1e3, 0.5e4))
+MODES = (
+    (22.0, 0.06, ((0.14, 0.03), (0.11, -0.02), (0.05, 0.02))),
+    (31.0, 0.09, ((-0.02, 0.16), (0.05, 0.12), (0.0, -0.1))),
+    (52.0, 0.05, ((0.10, 0.04), (-0.17, 0.06), (0.1, 0.03))),
+)
+"""Hz, damping ratio, and x and y of both pedestals and of a third point, 1/sqrt(kg)."""
+WEIGHTS = (Excitation("a", "unbalance", 3, 5e-4, 0.3), Excitation("b", "unbalance", 8, 5e-4, 1.3))
+DEVIATIONS = {"support_stiffness": 0.3, "support_damping": 0.5, "base_participation": 0.05}
+
+
+def config(modes: tuple[tuple[float, float, tuple[tuple[float, float], ...]], ...] = MODES) -> RotorConfig:
+    """A shaft with a disc between its bearings and an overhung one; the third point is beside the second pedestal."""
+    names = ("frequency", "damping_ratio", "participation")
+    return RotorConfig.model_validate(
+        {
+            "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
+            "shaft": [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}],
+            "discs": [
+                {"node": 3, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
+                {"node": 8, "mass": 5.0, "diametral_inertia": 0.02, "polar_inertia": 0.04},
+            ],
+            "bearing_nodes": NODES,
+            "base": {"points": (*NODES, 6), "modes": [dict(zip(names, mode, strict=True)) for mode in modes]},
+        }
+    )
+
+
+def films(speeds: np.ndarray = SPEEDS) -> BearingTable:
+    """The same at every speed."""
+    return BearingTable(NODES, speeds, np.repeat(np.array(FILMS)[:, None], len(speeds), axis=1))
+
+
+def stated() -> RotorModel:
+    """The base as it is believed to be: frequencies, damping and participations are off."""
+    off = [(0.93 * f, 1.4 * z, tuple((x + 0.01, y - 0.012) for x, y in u)) for f, z, u in MODES]
+    return load_rotor(config(tuple(off)))
+
+
+def measured() -> Measurement:
+    """Exact readings of the shaft at both bearings, of both casings, and of the third point of the base."""
+    nodes = (*NODES, 9, 10, 11)
+    data = project(
+        simulate(load_rotor(config()), films(), WEIGHTS), tuple((n, a) for n in nodes for a in DIRECTIONS.values())
+    )
+    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(("kxx", "kyy", "cxx", "cyy"))))
+    known = films()
+    parameters = model_parameters(DEVIATIONS, stated(), data, known, unknowns)
+    return Measurement(stated(), data, known, NoiseModel(1e-13, 1e-8), unknowns, Guess(1e7, 1e4), parameters=parameters)
+
+
+def dense(w: float) -> tuple[np.ndarray, ...]:
+    """M, C, K and the motion of both casings and the third point, of the shaft as ROSS has it with bearings to a base
+    whose receptance is a sum of rank one, all degrees of freedom beside each other.
+    """
+    plain = load_rotor(config().model_copy(update={"base": RotorConfig.model_fields["base"].default}))
+    n, count = plain.n_dof, len(MODES)
+    mass, damping, stiffness = (np.zeros((n + count, n + count)) for _ in range(3))
+    mass[:n, :n], damping[:n, :n], stiffness[:n, :n] = plain.mass, plain.damping + w * plain.gyroscopic, plain.stiffness
+    seen = np.zeros((6, n + count))
+    for r, (f, z, u) in enumerate(MODES):
+        mass[n + r, n + r], stiffness[n + r, n + r] = 1.0, (2 * np.pi * f) ** 2
+        damping[n + r, n + r] = 2 * z * 2 * np.pi * f
+        seen[:, n + r] = np.ravel(u)
+    for b, node in enumerate(NODES):
+        feels = -seen[2 * b : 2 * b + 2]
+        feels[[0, 1], [4 * node, 4 * node + 1]] += 1.0
+        k, c = np.array(FILMS[b]).reshape(2, 2, 2)
+        stiffness, damping = stiffness + feels.T @ k @ feels, damping + feels.T @ c @ feels
+    return mass, damping, stiffness, seen
+
+
+def test_the_response_and_the_modes_are_those_of_the_dense_matrices() -> None:
+    """Shaft, casings, third point, and the shaft less its casings; natural frequencies and damping, too."""
+    rotor, w = load_rotor(config()), float(SPEEDS[17])
+    mass, damping, stiffness, seen = dense(w)
+    force = np.zeros(len(mass), dtype=complex)
+    force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
+    moving = np.linalg.solve(stiffness + 1j * w * damping - w**2 * mass, force)
+    shaft, casings = moving[[4 * n + d for n in range(9) for d in (0, 1)]], seen @ moving
+    at_bearings = shaft.reshape(9, 2)[[1, 6, 6]].ravel()
+    expected = np.concatenate([shaft, casings, at_bearings - casings])
+    read = simulate(rotor, films(), WEIGHTS[:1]).displacement[17, :, 0]
+    assert np.abs(read - expected).max() <= 1e-10 * np.abs(expected).max()
+    inverse = np.linalg.inv(mass)
+    state = np.block([[np.zeros_like(mass), np.eye(len(mass))], [-inverse @ stiffness, -inverse @ damping]])
+    modes = find_modes(rotor, films(SPEEDS[[17]])).eigenvalues[0]
+    assert (np.abs(np.linalg.eigvals(state) - modes[:, None]).min(axis=1) < 1e-9 * np.abs(modes)).all()
+    with pytest.raises(ConfigError, match="hold no modes of a base"):
+        export_rotor(config(), (), np.zeros(0), films())
+
+
+def test_derivatives_by_the_base_are_those_of_the_rotor_solved_anew() -> None:
+    """Central differences of the response itself, by every number."""
+    measurement = measured()
+    theta = 0.4 * np.cos(1.7 * np.arange(len(measurement.parameters)))
+    slopes = ReadingSlopes(measurement.update(theta), films()).by_model * measurement.deviation[..., None]
+    for t in range(len(theta)):
+        step = 1e-4 * np.eye(len(theta))[t]
+        ahead, behind = (measurement.update(theta + sign * step).response.predict(films()) for sign in (1, -1))
+        difference = (ahead - behind) / 2e-4
+        assert np.abs(slopes[..., t] - difference).max() <= 1e-6 * np.abs(difference).max(), measurement.parameters[
+            t
+        ].name
+
+
+@pytest.mark.slow
+def test_a_fit_of_exact_readings_gives_base_and_bearings_back() -> None:
+    """To 1e-6 %: frequencies, damping, participations of all points, and direct coefficients of both bearings."""
+    measurement, truth = measured(), load_rotor(config())
+    found = fit(measurement, default_setup(Guess(1e7, 1e4), constant=True))
+    updated = measurement.update(np.array([p.value for p in found.parameters])).updated_rotor
+    for name in ("stiffness", "damping"):
+        numbers, true = (np.diagonal(getattr(r, name))[[36, 37, 40]] for r in (updated, truth))
+        assert numbers == pytest.approx(true, rel=1e-8)
+    assert updated.participation == pytest.approx(truth.participation, abs=1e-8 * 0.17)
+    assert found.table(films()).values[..., [0, 3, 4, 7]] == pytest.approx(films().values[..., [0, 3, 4, 7]], rel=1e-8)
