@@ -103,7 +103,9 @@ class BaseConfig(Section):
     def _lawful(self) -> Iterator[str]:
         if bool(self.points) != bool(self.modes):
             yield "must have both points and modes, or neither"
-        for mode in self.modes:
+        for r, mode in enumerate(self.modes):
+            if not any(map(any, mode.participation)):
+                yield f"must have modes that move a point, but all of mode {r + 1} is zero: leave it out"
             if len(mode.participation) != len(self.points):
                 yield (
                     f"must give every mode the participation of each of {len(self.points)} points, but got "

@@ -31,7 +31,7 @@ def number_excitations(excitations: Sequence[Excitation]) -> Iterator[tuple[int,
         yield seen[excitation.run], excitation
 
 
-def label_of(excitation: Excitation) -> str:
+def write_label(excitation: Excitation) -> str:
     """What is written on a weight: all of the same stated size are one weight, wherever they are put."""
     return f"{1e6 * excitation.magnitude:.6g} g mm"
 
@@ -63,7 +63,7 @@ def force_change(
         if parameter.kind in OF_WEIGHT:
             acts = (weight.run, i) == (parameter.detail, parameter.place)
         else:
-            acts = weight.kind == "unbalance" and parameter.detail in ("", *PARTS, label_of(weight))
+            acts = weight.kind == "unbalance" and parameter.detail in ("", *PARTS, write_label(weight))
         if acts:
             changes.append(_vector(weight, parameter.deviation * _derive(weight, i, shifts, parameter)))
     return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
@@ -83,7 +83,7 @@ def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, comp
     """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
     common_shifts: _Shifts = shifts if excitation.kind == "unbalance" else {}
     law = sum((unit * common_shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
-    common, label = common_shifts.get(("weight_angle", "", 0), 0.0), label_of(excitation)
+    common, label = common_shifts.get(("weight_angle", "", 0), 0.0), write_label(excitation)
     common += common_shifts.get(("label_angle", label, 0), 0.0)
     gain = common_shifts.get(("weight_gain", "", 0), 0.0) + common_shifts.get(("label_gain", label, 0), 0.0)
     turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset, name_direction, project_direction, synchronous
 from pipeline.errors import ConfigError
-from pipeline.problem.force_parameters import PARTS, label_of, number_excitations
+from pipeline.problem.force_parameters import PARTS, number_excitations, write_label
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import move_casing, shaft_rows
 from pipeline.rotor.model import RotorModel, casing_dof
@@ -168,16 +168,16 @@ def _list_places(
         for i, weight in number_excitations(dataset.excitations)
         if weight.kind == "unbalance"
     ]
-    labels = dict.fromkeys(label_of(w) for w in dataset.excitations if w.kind == "unbalance" and w.magnitude)
+    labels = dict.fromkeys(write_label(w) for w in dataset.excitations if w.kind == "unbalance" and w.magnitude)
     discs = [(f"node {node}", node, "") for node in dict.fromkeys(rotor.disc_nodes)]
     probes = [(f"node {node} {name_direction(angle)}", p, "") for p, (node, angle) in enumerate(dataset.channels)]
     on_casing = range(rotor.n_nodes, rotor.n_nodes + len(rotor.casings))
     on_shaft = [probe for probe in probes if dataset.channels[probe[1]][0] not in on_casing]
-    labels_of_ground = [f"node {node} {axis}" for node in rotor.casings for axis in DIRECTIONS]
+    ground_labels = [f"node {node} {axis}" for node in rotor.casings for axis in DIRECTIONS]
     if rotor.participation.size:
-        labels_of_ground = [f"mode {r + 1}" for r in np.flatnonzero(rotor.participation.any(axis=(0, 1)))]
+        ground_labels = [f"mode {r + 1}" for r in np.flatnonzero(rotor.participation.any(axis=(0, 1)))]
     ground = [(rotor.n_nodes + c, axis) for c in range(rotor.n_ground) for axis in DIRECTIONS]
-    supports = [(label, *place) for label, place in zip(labels_of_ground, ground, strict=False)]
+    supports = [(label, *place) for label, place in zip(ground_labels, ground, strict=False)]
     shaken = [
         (f"mode {r + 1} at node {rotor.n_nodes + q} {'xy'[d]}", i, "")
         for i, (q, d, r) in enumerate(np.ndindex(rotor.participation.shape))
@@ -242,11 +242,11 @@ def sensor_change(
 ) -> np.ndarray | None:
     """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that is none of a probe's."""
     if parameter.kind == "base_participation":  # linear
-        moved, matrix = (
+        shifted, matrix = (
             move_casing(rotor, parameter.place, parameter.deviation),
             sensor_matrix(dataset, rotor, parameters, values),
         )
-        return np.asarray(sensor_matrix(dataset, moved, parameters, values) - matrix)
+        return np.asarray(sensor_matrix(dataset, shifted, parameters, values) - matrix)
     if parameter.kind not in OF_PROBE:
         return None
     probe = _probe(parameters, values, parameter.place)

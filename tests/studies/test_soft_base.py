@@ -1,0 +1,54 @@
+"""The measured machine on a soft base: its table as the program reads it, and scores by their definitions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from running import ROOT
+from soft_base import MACHINE, Predicted, keep, read
+
+from pipeline.config.compose import compose_config
+
+RECORDS = MACHINE / "records.csv"
+
+
+def test_every_record_is_read_at_its_own_speed() -> None:
+    """Displacements are the table's accelerations over -w^2, at the housings; the credits stand beside the table."""
+    measurement, table = read(compose_config(["experiment=mafaulda", "tracking=none"], MACHINE)), pd.read_csv(RECORDS)
+    data = measurement.dataset
+    assert data.present.sum() == len(table) == 287
+    speed, run = np.nonzero(data.present)
+    w = data.frequencies[speed, run]
+    at = {
+        (c, round(hz, 3)): row for c, hz, row in zip(table.condition, table.tacho_hz, table.itertuples(), strict=True)
+    }
+    for s, r, w_r in zip(speed, run, w, strict=True):
+        row = at[data.runs[r], round(w_r / (2 * np.pi), 3)]
+        expected = [complex(getattr(row, f"{n}_re"), getattr(row, f"{n}_im")) for n in ("tg1", "rad1", "tg2", "ax1")]
+        assert -(w_r**2) * data.displacement[s, :, r] == pytest.approx(expected, rel=1e-9)
+    grams = {weight.run: weight.magnitude / 50e-6 for weight in data.excitations}
+    assert grams == pytest.approx({f"{g}g": g for g in (0, 6, 10, 20, 25, 35)})
+    half = keep(data, data.present & (np.arange(6) < 3))
+    assert half.runs == data.runs[:3]
+    assert half.present.any(axis=1).all()
+    credits = (MACHINE / "README.md").read_text(encoding="utf-8") + Path(ROOT / "examples/mafaulda/LICENSE").read_text()
+    assert all(name in credits for name in ("Renner Tetzner", "Ribeiro", "MIT License"))
+    assert sum(path.stat().st_size for path in MACHINE.rglob("*")) < 1_000_000
+
+
+def test_a_label_is_read_from_the_other_records_alone() -> None:
+    """Weights that act 1.3 times as much and 20 degrees later: predicted exactly, but for the record that is off."""
+    rng = np.random.default_rng(4)
+    change, still = rng.standard_normal((2, 12, 2)) + 1j * rng.standard_normal((2, 12, 2))
+    true = still + 1.3 * np.exp(1j * np.pi / 9) * change
+    made = Predicted(np.arange(12) % 2, true, still + change, still, np.ones((12, 2, 2)))
+    assert made.label_read().expected == pytest.approx(true)
+    assert made.scores("ab")["r2"]["a"] == pytest.approx(1 - abs(1 - 1 / (1.3 * np.exp(1j * np.pi / 9))) ** 2)
+    off = true.copy()
+    off[0] = 50.0
+    other = Predicted(made.weight, off, made.expected, still, made.deviation).label_read()
+    assert other.expected[0] == pytest.approx(true[0])
+    assert np.abs(other.expected[2] - true[2]).max() > 1e-3
