@@ -73,7 +73,7 @@ def fit_again(fit: OutputErrorFit, data: VibrationDataset, setup: FitSetup) -> O
     every = np.ones(len(data.speeds), dtype=bool)
     measurement = problem.measurement
     changes: dict[str, Any] = {"measurement": measurement, "keep": every, "problem": problem, "weights": fit.weights}
-    return fit_from(replace(fit.start, **changes, held_out={}, from_guess=False), setup, near=True)
+    return fit_from(replace(fit.start, **changes, held_out={}, from_guess=False), setup, near=True, rounds=3)
 
 
 @dataclass(frozen=True, eq=False)
