@@ -364,7 +364,7 @@ class OutputError(LeastSquares):
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
         slopes, count = self.unknown_slopes(weights), self.places.numbers.stop
         spread = self.covariance(weights)[:, :count, :count]
-        return np.sqrt(np.einsum("gsaz,gzy,gsay->gsa", slopes, spread, slopes, optimize=True))
+        return np.asarray(np.sqrt(np.einsum("gsaz,gzy,gsay->gsa", slopes, spread, slopes, optimize=True)))
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""

@@ -158,7 +158,7 @@ def measure_inflation(
     bounded = min(max(whiteness["autocorrelation"], 0.0), strongest)
     correlated = (1 + bounded) / (1 - bounded)  # 1 or more
     if estimated:
-        return correlated
+        return float(correlated)
     ratio = max(1.0, square["value"] / max(square["expected"], 1.0))
     white = whiteness["over_its_deviation"] < significant
     return float(ratio if white or ratio > small else ratio * correlated)

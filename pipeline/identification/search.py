@@ -174,7 +174,8 @@ class Whitened(LeastSquares):
         import torch
 
         curvature = torch.linalg.slogdet(self.normal(y)[1][:, 0])[1]
-        return (-(self.rows(y).square().sum(-1)[:, 0] + curvature) / 2).nan_to_num(-float("inf"), neginf=-float("inf"))
+        evidence: torch.Tensor = -(self.rows(y).square().sum(-1)[:, 0] + curvature) / 2
+        return evidence.nan_to_num(-float("inf"), neginf=-float("inf"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,7 @@ def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
     %), it is known to 1 % of the direct ones; a cross stiffness of k sqrt(kxx kyy) moves a logarithmic decrement by
     about pi k, here 0.03, where API 617 asks for a decrement of 0.1.
     """
-    sizes = np.abs(values)
+    sizes: np.ndarray = np.abs(values)
     for first in (0, 4):  # stiffness, damping: xx, xy, yx, yy
         direct = (np.sqrt(sizes[..., first]) * np.sqrt(sizes[..., first + 3]))[..., None]  # no overflow
         cross = slice(first + 1, first + 3)
@@ -82,12 +82,12 @@ class Deviations:
     def relative(self) -> np.ndarray:
         """(B, S, 8) over their sizes; infinite where that is zero."""
         sizes = measure_sizes(self.table.values)
-        return np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0)
+        return np.asarray(np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0))
 
     @property
     def lost(self) -> np.ndarray:
         """(B, S, 8) bool: where it is not determined; nowhere of what has no deviation."""
-        return np.isfinite(self.values) & ~(self.relative < WEAKLY_BELOW)
+        return np.asarray(np.isfinite(self.values) & ~(self.relative < WEAKLY_BELOW))
 
     def judge(self) -> tuple[Determined, ...]:
         """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""

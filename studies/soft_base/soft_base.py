@@ -50,7 +50,7 @@ def read(config: Config, records: str | None = None) -> Measurement:
 
 def keep(data: VibrationDataset, present: np.ndarray) -> VibrationDataset:
     """The records ``present`` (S, R) alone."""
-    some = replace(data, present=present).at(present.any(axis=1))
+    some = replace(data, present=present).at(np.asarray(present.any(axis=1)))
     return some.of_runs(np.flatnonzero(some.present.any(axis=0)))
 
 
@@ -201,8 +201,7 @@ def main(arguments: list[str]) -> None:
     if "halves" in parts:
         order = np.cumsum(data.present, axis=0) % 2
         order[:, 1:] = np.arange(1, len(data.runs)) % 2
-        every = [fit_again(fit, keep(data, data.present & (order == half)), setup) for half in range(2)]
-        say("halves", [modes_of(each) for each in every])
+        say("halves", [modes_of(fit_again(fit, keep(data, data.present & (order == h)), setup)) for h in range(2)])
 
 
 def _numbers(fit: OutputErrorFit) -> list[tuple[Any, float, float]]:
