@@ -69,7 +69,7 @@ def draw_machine(seed: int, floor: str = "0.05 um", trouble: str = "none") -> Dr
     generator = np.random.default_rng([seed, 11])
     while True:
         drawn = _draw(generator)
-        if _is_stable(drawn):
+        if is_stable(drawn):
             return replace(drawn, floor=float(floor.split()[0]) * 1e-6, trouble=TROUBLE[trouble])
 
 
@@ -230,7 +230,7 @@ def _load_bearings(config: Config) -> BearingTable:
     return load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, {})
 
 
-def _is_stable(drawn: Drawn) -> bool:
+def is_stable(drawn: Drawn) -> bool:
     """Whether it can be measured at all of its speeds: its films are those of their tables, and no whirl grows."""
     config = compose_real(drawn)
     try:
@@ -260,9 +260,14 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     residual = [(node, float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
                 for node, r in zip(places, drawn.residual, strict=True)]  # fmt: skip
     seen, stated = [], []
+    weight, misplaced = trouble.get("weight", (0.0, 0.0)), np.random.default_rng([seed, 15])
     for name, excitations in acting.items():
         factors = np.exp(trouble.get("drift", 0.0) * generator.standard_normal((len(felt.nodes), 1, 1)))
-        real = [*excitations, *(Excitation(name, "unbalance", *one) for one in residual)]
+        placed = [
+            replace(e, magnitude=e.magnitude * (1 + weight[0] * size), phase=e.phase + weight[1] * turn)
+            for e, (size, turn) in zip(excitations, misplaced.standard_normal((len(excitations), 2)), strict=True)
+        ]
+        real = [*placed, *(Excitation(name, "unbalance", *one) for one in residual)]
         seen.append(simulate(rotor, replace(felt, values=felt.values * factors), tuple(real)).displacement)
         stated += excitations
     complete = simulate(rotor, felt, tuple(real))  # its axes and channels
