@@ -264,8 +264,8 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     for name, excitations in acting.items():
         factors = np.exp(trouble.get("drift", 0.0) * generator.standard_normal((len(felt.nodes), 1, 1)))
         placed = [
-            replace(e, magnitude=e.magnitude * (1 + weight[0] * size), phase=e.phase + weight[1] * turn)
-            for e, (size, turn) in zip(excitations, misplaced.standard_normal((len(excitations), 2)), strict=True)
+            replace(e, magnitude=e.magnitude * (1 + weight[0] * size), phase=e.phase + weight[1] * ahead)
+            for e, (size, ahead) in zip(excitations, misplaced.standard_normal((len(excitations), 2)), strict=True)
         ]
         real = [*placed, *(Excitation(name, "unbalance", *one) for one in residual)]
         seen.append(simulate(rotor, replace(felt, values=felt.values * factors), tuple(real)).displacement)
