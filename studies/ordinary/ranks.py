@@ -44,7 +44,8 @@ def draw_from_prior(seed: int, points: int = 30) -> Drawn:
     drawn, generator = draw_machine(seed), np.random.default_rng([seed, 21])
     config = compose_real(drawn)
     families = compose_config(["model=bearings_network", "loss=response"]).model.families
-    rpm = np.linspace(*np.array(config.machine.speeds.rpm())[[0, -1]], points)
+    measured = np.array(config.machine.speeds.rpm())
+    rpm = np.linspace(measured[0], measured[-1], points)
     rotor, speeds = load_rotor(config.machine.rotor), rpm * RAD_S_PER_RPM
     loads, journals = find_static_loads(rotor), estimate_journals(rotor)
     sizes = {name: ALWAYS_FITTED[name] * generator.standard_normal() for name in ("youngs_modulus", "disc_mass")}
