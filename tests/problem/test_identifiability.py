@@ -398,7 +398,7 @@ def test_design_beats_the_papers_runs_and_simulations_confirm_it(
     run("design", ["experiment=all_coefficients"], folder)
     summary = json.loads((folder / "design.json").read_text())
     print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
-    assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001, "drift": 0.0}
+    assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001, "drift": 0.0, "record": 0.0}
     assert len(summary["runs"]) == len(compose_config(["experiment=all_coefficients"]).machine.runs)
     assert summary["gain"] >= 150
     assert summary["simulated_gain"] == pytest.approx(summary["gain"], rel=0.2)
