@@ -1,3 +1,37 @@
-/* iframe-worker 1.0.4 (https://github.com/squidfunk/iframe-worker), MIT licence, Copyright (c) 2020-2022 Martin Donath.
-   Browsers start no worker from a file; with this the search of the built pages works without a server. */
-"use strict";(()=>{function c(s,n){parent.postMessage(s,n||"*")}function d(...s){return s.reduce((n,e)=>n.then(()=>new Promise(r=>{let t=document.createElement("script");t.src=e,t.onload=r,document.body.appendChild(t)})),Promise.resolve())}var o=class extends EventTarget{constructor(e){super();this.url=e;this.m=e=>{e.source===this.w&&(this.dispatchEvent(new MessageEvent("message",{data:e.data})),this.onmessage&&this.onmessage(e))};this.e=(e,r,t,i,m)=>{if(r===`${this.url}`){let a=new ErrorEvent("error",{message:e,filename:r,lineno:t,colno:i,error:m});this.dispatchEvent(a),this.onerror&&this.onerror(a)}};let r=document.createElement("iframe");r.hidden=!0,document.body.appendChild(this.iframe=r),this.w.document.open(),this.w.document.write(`<html><body><script>postMessage=${c};importScripts=${d};addEventListener("error",({error})=>{parent.dispatchEvent(new ErrorEvent("error",{filename:"${e}",error}))})<\/script><script src=${e}?${+Date.now()}><\/script></body></html>`),this.w.document.close(),onmessage=this.m,onerror=this.e,this.r=new Promise((t,i)=>{this.w.onload=t,this.w.onerror=i})}terminate(){this.iframe.remove(),onmessage=onerror=null}postMessage(e){this.r.catch().then(()=>{this.w.dispatchEvent(new MessageEvent("message",structuredClone({data:e})))})}get w(){return this.iframe.contentWindow}};window.IFrameWorker=o;location.protocol==="file:"&&(window.Worker=o);})();
+// Browsers start no worker from a file. In its place a hidden frame runs the same script, so that the built pages are
+// searched without a server. The theme's script looks for the frame by this name.
+window.IFrameWorker = class extends EventTarget {
+  constructor(url) {
+    super();
+    this.frame = document.createElement("iframe");
+    this.frame.hidden = true;
+    document.body.append(this.frame);
+    this.ready = new Promise((resolve) => {
+      const page = this.frame.contentWindow;
+      window.addEventListener("message", ({ source, data }) => {
+        if (source !== page) return;
+        const message = new MessageEvent("message", { data });
+        this.dispatchEvent(message);
+        this.onmessage?.(message);
+      });
+      const first = `
+        postMessage = (data) => parent.postMessage(data, "*");
+        importScripts = (...urls) => urls.reduce((before, src) => before.then(() => new Promise((loaded) =>
+          document.body.append(Object.assign(document.createElement("script"), { src, onload: loaded })))),
+          Promise.resolve());`;
+      page.document.open();
+      page.document.write(`<body><script>${first}<\/script><script src="${url}"><\/script></body>`);
+      page.onload = resolve;
+      page.document.close();
+    });
+  }
+
+  postMessage(data) {
+    this.ready.then(() => this.frame.contentWindow.dispatchEvent(new MessageEvent("message", { data })));
+  }
+
+  terminate() {
+    this.frame.remove();
+  }
+};
+if (location.protocol === "file:") window.Worker = window.IFrameWorker;

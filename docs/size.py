@@ -22,12 +22,12 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1787,
     "laws": 485,
-    "rotor": 822,
+    "rotor": 824,
     "data": 1137,
     "sweep": 249,
     "ingest": 1481,
     "problem": 1743,
-    "identification": 2726,
+    "identification": 2725,
     "evaluation": 224,
     "twin": 483,
     "balance": 687,
@@ -44,14 +44,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18646, 14500),
+    "statements of pipeline/": (18647, 14500),
     "files": (266, 250),
     "classes": (330, 260),
     "is None, is not None": (339, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (120, 200),
-    "statements of tests/": (13238, 13000),
+    "statements of tests/": (13239, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (765, 380),
     "their files": (111, 75),

@@ -111,3 +111,15 @@ def open_in_browser(address: str, *flags: str) -> tuple[str, list[str]]:
     command = [str(BROWSER), *flags, "--dump-dom", address]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
+
+
+GROUNDED = {
+    "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
+    "shaft": [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}],
+    "discs": [
+        {"node": 3, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
+        {"node": 8, "mass": 5.0, "diametral_inertia": 0.02, "polar_inertia": 0.04},
+    ],
+    "bearing_nodes": (1, 6),
+}
+"""SI: a rotor with a disc between its bearings and an overhung one, which tests put on soft ground."""

@@ -72,15 +72,11 @@ class Readings:
         """
         if self.records:
             v = self.records[b][..., None]
-            square = v.abs().square().sum(2, keepdim=True)
-            share = (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
-            rows = rows - share * v * (v.conj() * rows).real.sum(2, keepdim=True)
-        if not self.common:
-            return rows
-        u = self.common[b][..., None]
-        square = u.square().sum(3, keepdim=True)
-        share = (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
-        return rows - share * u * (u * rows).sum(3, keepdim=True)
+            rows = rows - _share(v, 2) * v * (v.conj() * rows).real.sum(2, keepdim=True)
+        if self.common:
+            u = self.common[b][..., None]
+            rows = rows - _share(u, 3) * u * (u * rows).sum(3, keepdim=True)
+        return rows
 
     @property
     def tied(self) -> bool:
@@ -176,6 +172,12 @@ class Readings:
                 common.append(torch.as_tensor(shared))
         every: dict[str, Any] = {"precision": tuple(precision), "common": tuple(common), "records": tuple(records)}
         return replace(self, **every, shares=counted)
+
+
+def _share(vectors: torch.Tensor, axis: int) -> torch.Tensor:
+    """c for which ``1 - c v v'`` is the inverse root of ``1 + v v'``, for vectors v along an axis."""
+    square = vectors.abs().square().sum(axis, keepdim=True)
+    return (1 - (1 + square).rsqrt()) / square.clamp(min=1e-30)
 
 
 def gather_readings(measurement: Measurement) -> Readings:

@@ -49,8 +49,7 @@ def recognize_recordings(
     key that its format lacks.
 
     Files of the same columns beside it, and sheets of a workbook, are runs; two probes are at each of the bearings'
-    ``nodes``. Raises DataError for a file that is no
-    table, and where no probe is recognised in its columns.
+    ``nodes``. Raises DataError for a file that is no table, and where no probe is recognised in its columns.
     """
     if path.suffix.lower() in (".uff", ".unv"):
         return _recognize_records(path, folder, nodes)

@@ -143,8 +143,8 @@ class Measurement:
     ) -> np.ndarray:
         """(.., S, P, R) m of readings of another size, that a ``baseline`` was taken off.
 
-        ``factor`` (P,) is a channel's deviation over the stated one. Of a reading ``alone``, without what all of its
-        record share. A reading of zero without additive noise would have none at all: it has the ``least``.
+        ``factor`` (P,) is a channel's deviation over the stated one. ``alone`` leaves out what all readings of a record
+        share. A reading of zero without additive noise would have none at all: it has the ``least``.
         """
         if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))

@@ -53,6 +53,7 @@ def model_parameters(
         kind_parameters = [ModelParameter(kind, deviation, *place) for place in places.get(kind, ())]
         if kind in OF_SUPPORT:
             held = np.diagonal(getattr(rotor, OF_SUPPORT[kind][0]))[casing_dof(rotor)].ravel()
+            # A node of the ground has two coordinates: an odd number of modes leaves one without a parameter.
             kind_parameters = [replace(p, stated=float(n)) for p, n in zip(kind_parameters, held, strict=False)]
         if kind in OF_COUPLING:
             if not coupling_node < rotor.n_nodes:
@@ -123,9 +124,8 @@ def usual_deviations(
 _MISSING = {
     **dict.fromkeys(OF_DISC, "no disc"),
     **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL), "no run with an unbalance"),
-    **dict.fromkeys(
-        OF_SUPPORT, "no support (machine.rotor.supports), or a base, whose modal masses are 1 by definition"
-    ),
+    **dict.fromkeys(OF_SUPPORT, "no support (machine.rotor.supports) and no base (machine.rotor.base)"),
+    "support_mass": "no support (machine.rotor.supports); modes of a base have unit mass by definition",
     "base_participation": "no base (machine.rotor.base)",
     "bearing_position": "bearings on soft ground",
     "known_coefficients": "no known coefficient other than zero",

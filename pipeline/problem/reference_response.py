@@ -20,7 +20,7 @@ from pipeline.problem.force_parameters import bow_change, bow_force, force_chang
 from pipeline.problem.model_parameters import runout, sensor_change, sensor_matrix, turns_with_rotor
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
-from pipeline.rotor.interpolation import bearing_places, bearing_slopes
+from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, casing_dof, translation_dof
 from pipeline.rotor.parameters import MOVED, ModelParameter, rotor_change, update_rotor
 
@@ -187,7 +187,7 @@ def _tilt(
     With the bearing's rows c on the matrices, ``D + c' H0 c`` has the derivative ``dc' H0 c + c' H0 dc``.
     """
     rows = bearing_places(rotor).loads(rotor.n_dof).T
-    slopes = parameter.deviation * bearing_slopes(rotor, MOVED[parameter.kind], parameter.place)
+    slopes = parameter.deviation * MOVED[parameter.kind][1](rotor, parameter.place)
     right = -reference * (slopes.T @ (rows @ response) + rows.T @ (slopes @ response))
     beside = TRANSLATIONS * rotor.n_ground
     first = response.shape[-1] - len(rows) - beside

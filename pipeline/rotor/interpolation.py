@@ -9,7 +9,6 @@ Legend: N nodes, n lateral DOF, B bearings, S speeds, R right-hand sides. SI uni
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,13 +133,16 @@ def move_casing(rotor: RotorModel, place: int, shift: float) -> RotorModel:
     return replace(rotor, participation=participation)
 
 
-def bearing_slopes(rotor: RotorModel, move: Callable[[RotorModel, int, float], RotorModel], place: int) -> np.ndarray:
-    """(2 B, n) derivative of what bearings feel of the DOF, by the shift of one or of a casing's participation."""
-    if move is move_casing:  # linear
-        return np.asarray(
-            (bearing_places(move(rotor, place, 1.0)).loads(rotor.n_dof) - bearing_places(rotor).loads(rotor.n_dof)).T
-        )
+def derive_by_bearing(rotor: RotorModel, bearing: int) -> np.ndarray:
+    """(2 B, n) derivative of what bearings feel of the DOF, by the shift of one of them along the shaft, 1/m."""
     rows = np.zeros((TRANSLATIONS * len(rotor.bearing_nodes), rotor.n_dof))
-    shift = rotor.bearing_shifts[place] if rotor.bearing_shifts else 0.0
-    rows[TRANSLATIONS * place : TRANSLATIONS * (place + 1)] = shaft_rows(rotor, rotor.bearing_nodes[place], shift, True)
+    shift = rotor.bearing_shifts[bearing] if rotor.bearing_shifts else 0.0
+    felt = slice(TRANSLATIONS * bearing, TRANSLATIONS * (bearing + 1))
+    rows[felt] = shaft_rows(rotor, rotor.bearing_nodes[bearing], shift, True)
     return rows
+
+
+def derive_by_casing(rotor: RotorModel, place: int) -> np.ndarray:
+    """(2 B, n) likewise by a participation of the base, in which it is linear."""
+    before, after = (bearing_places(r).loads(rotor.n_dof).T for r in (rotor, move_casing(rotor, place, 1.0)))
+    return np.asarray(after - before)

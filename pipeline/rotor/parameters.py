@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.rotor.interpolation import move_bearing, move_casing
+from pipeline.rotor.interpolation import derive_by_bearing, derive_by_casing, move_bearing, move_casing
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
 from pipeline.rotor.seals import NO_SEALS
 
@@ -62,8 +62,12 @@ OF_SUPPORT = {
     "support_mass": ("mass", "kg"),
 }
 """Kinds whose logarithm is normal: the matrix that each is part of, and the unit of the number."""
-MOVED = {"bearing_position": move_bearing, "base_participation": move_casing}
-"""Kinds that move what a bearing feels of the DOF, by the rotor, the parameter's place and its shift."""
+MOVED = {
+    "bearing_position": (move_bearing, derive_by_bearing),
+    "base_participation": (move_casing, derive_by_casing),
+}
+"""Kinds that move what bearings feel of the DOF: how, by the rotor, the parameter's place and its shift, and the
+derivative by that."""
 OF_WEIGHT = ("unbalance_magnitude", "unbalance_phase")
 OF_ALL_WEIGHTS = ("weight_angle", "weight_law", "weight_gain")
 OF_LABEL = ("label_gain", "label_angle")
@@ -139,7 +143,7 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values
     sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
     for parameter, value in zip(parameters, values, strict=True):
         if parameter.kind in MOVED and value:
-            rotor = MOVED[parameter.kind](rotor, parameter.place, float(value) * parameter.deviation)
+            rotor = MOVED[parameter.kind][0](rotor, parameter.place, float(value) * parameter.deviation)
         change = rotor_change(parameter, rotor) if value else None
         if change is not None:
             step = parameter.step(value)

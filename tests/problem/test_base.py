@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from running import GROUNDED
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation
@@ -38,13 +39,7 @@ def config(modes: tuple[tuple[float, float, tuple[tuple[float, float], ...]], ..
     names = ("frequency", "damping_ratio", "participation")
     return RotorConfig.model_validate(
         {
-            "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
-            "shaft": [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}],
-            "discs": [
-                {"node": 3, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
-                {"node": 8, "mass": 5.0, "diametral_inertia": 0.02, "polar_inertia": 0.04},
-            ],
-            "bearing_nodes": NODES,
+            **GROUNDED,
             "base": {"points": (*NODES, 6), "modes": [dict(zip(names, mode, strict=True)) for mode in modes]},
         }
     )

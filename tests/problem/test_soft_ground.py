@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from running import GROUNDED
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
@@ -48,13 +49,7 @@ def config(nodes: tuple[int, ...] = NODES, off: bool = False) -> RotorConfig:
     given = [{key: number * (OFF[key] if off else 1.0) for key, number in SUPPORTS[node].items()} for node in nodes]
     return RotorConfig.model_validate(
         {
-            "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
-            "shaft": [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}],
-            "discs": [
-                {"node": 3, "mass": 12.0, "diametral_inertia": 0.05, "polar_inertia": 0.09},
-                {"node": 8, "mass": 5.0, "diametral_inertia": 0.02, "polar_inertia": 0.04},
-            ],
-            "bearing_nodes": NODES,
+            **GROUNDED,
             "supports": [{"node": node, **support} for node, support in zip(nodes, given, strict=True)],
         }
     )
