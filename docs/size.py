@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 249,
     "ingest": 1481,
     "problem": 1743,
-    "identification": 2725,
+    "identification": 2723,
     "evaluation": 224,
     "twin": 483,
     "balance": 687,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18647, 14500),
+    "statements of pipeline/": (18645, 14500),
     "files": (266, 250),
     "classes": (330, 260),
     "is None, is not None": (339, 420),

@@ -393,12 +393,10 @@ def sensor_model(measurement: Measurement) -> SensorModel:
 def read_answer(measurement: Measurement, bearings: BearingTable, unbalance: np.ndarray | None) -> np.ndarray:
     """(S, P, R) m as the data set has them, of fitted coefficients and a residual unbalance (N,) kg m.
 
-    ``measurement`` is at the fitted model parameters: a run has the bearings that these give it, where bearings drift.
+    ``measurement`` is at the fitted model parameters, which give each run its bearings where these drift.
     """
     import torch
 
-    if all(parameter.kind != "bearing_drift" for parameter in measurement.parameters):
-        return measurement.response.predict(bearings, unbalance)
     unknowns, result = measurement.unknowns, np.empty_like(measurement.dataset.displacement)
     model, planes = sensor_model(measurement), np.zeros(len(unknowns.planes)) if unbalance is None else unbalance
     values = torch.as_tensor(unknowns.to_active(unknowns.leading(bearings.values)))
