@@ -247,14 +247,20 @@ class CoefficientModel:
         return torch.cat(pieces, dim=1)
 
     def spread_parameters(
-        self, guess: np.ndarray, generator: torch.Generator, reach: float = 1.2, condition_share: float = 1 / 3
+        self,
+        guess: np.ndarray,
+        generator: torch.Generator,
+        steep: float = 1.0,
+        reach: float = 1.2,
+        condition_share: float = 1 / 3,
     ) -> torch.Tensor:
         """As :meth:`initial_parameters`, with the bends of the first hidden units spread evenly over the inputs, and a
         little beyond them (``reach``).
 
         For hidden layers that are not trained: drawn freely, some leave gaps that no output layer fills. Over its range
         a condition bends coefficients less (``condition_share``) than the speed does over its own: 20 K are a factor of
-        two in an oil's viscosity, where the speed has seven, and both act by their product. Lines are no bends.
+        two in an oil's viscosity, where the speed has seven, and both act by their product. Lines are no bends. A unit
+        bends within half of the inputs' range, or within a part of that, ``steep`` times smaller.
         """
         import torch
 
@@ -264,7 +270,7 @@ class CoefficientModel:
         members, width, n_in = len(parameters), self.hidden[0], len(self.inputs)
         jitter = torch.rand(members, width, generator=generator, dtype=torch.float64)
         places = reach * (2 * (torch.arange(width, dtype=torch.float64) + jitter) / width - 1)
-        slopes = 0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64)
+        slopes = steep * (0.5 + torch.rand(members, width, generator=generator, dtype=torch.float64))
         directions = torch.ones(members, n_in, width, dtype=torch.float64)
         if n_in > 1:  # the bends lie across random directions, and reach from corner to corner along them
             directions = torch.randn(members, n_in, width, generator=generator, dtype=torch.float64)

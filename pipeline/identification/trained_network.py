@@ -37,16 +37,19 @@ def start_networks(
     inputs: torch.Tensor,
     values: torch.Tensor,
     rest: torch.Tensor,
+    steep: float = 1.0,
 ) -> torch.Tensor:
     """(G, 1, Y) networks of new hidden units, near the coefficients ``values`` (G, M, S, U) at scaled ``inputs``
     (S, 1), and the ``rest`` (G, 1, Y - M Q) of the numbers.
 
-    Hidden units are drawn by the ``generator``, for networks that start at the ``guess`` (M, U).
+    Hidden units are drawn by the ``generator``, ``steep`` ones for values that bend sharply, for networks that start
+    at the ``guess`` (M, U).
     """
     import torch
 
     networks = [
-        model.with_output_at(model.spread_parameters(guess, generator), inputs, value).flatten() for value in values
+        model.with_output_at(model.spread_parameters(guess, generator, steep), inputs, value).flatten()
+        for value in values
     ]
     return torch.cat([torch.stack(networks)[:, None], rest], dim=-1)
 
@@ -143,6 +146,7 @@ def train_from_nodes(
     *,
     hold: float = 1e-4,
     points_a_node: int = 8,
+    steep: float = 3.0,
     still: float = 3e-4,
     patience: int = 5,
 ) -> OutputErrorFit:
@@ -151,6 +155,9 @@ def train_from_nodes(
     Args:
         hold: information on each weight about its start, so that none is free.
         points_a_node: at so many times as many places the start follows the answer.
+        steep: a hidden unit bends within a third of what it does in a network of its own, about two of fourteen nodes.
+            Wider ones can't follow bearings whose coefficients wander from node to node: on one of them training
+            stopped at twice the chi-square of the nodes. Units twice as steep follow the noise between nodes.
         still: training ends where ``patience`` steps lower the loss by less than this share, which is about one of
             chi-square: far less than what the readings leave open.
     """
@@ -160,7 +167,9 @@ def train_from_nodes(
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
     over, rest = _spread(points_a_node * spline.n_functions), fit.weights[..., problem.places.n_coefficients :]
     guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)
-    start = start_networks(model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest)
+    start = start_networks(
+        model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest, steep
+    )
     n_of_networks = start.shape[-1] - rest.shape[-1]
     training = problem.of_kind(
         TrainedNetworks,

@@ -2,8 +2,9 @@
 
     python studies/ordinary/ranks.py output=FOLDER [seeds=200-223] [workers=2]
 
-What is real is drawn from the very prior of the fit: the kind of each bearing, its coefficients over the speed, E, the
-discs' mass, each weight, each probe's gain and angle, each bearing in each run and in the baseline. Rotors, probes,
+What is real is drawn from the very prior of the fit: the kind of each bearing, its coefficients at the fit's nodes with
+its spline between, E, the discs' mass, each weight, each probe's gain and angle, each bearing in each run and in the
+baseline. Rotors, probes,
 weights and noise are those of draw.py, with 1 % + 0.05 um. A machine that would be unstable is drawn again, which the
 prior does not know. Each is identified by the command, with nothing stated, as in ordinary.py.
 
@@ -26,6 +27,7 @@ import pandas as pd
 import torch
 from draw import Drawn, compose_real, draw_machine, is_stable
 from ordinary import identify, write_user_files
+from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
 from pipeline.coefficients import COEFFICIENTS
@@ -39,14 +41,13 @@ from pipeline.rotor.weight import estimate_journals, find_static_loads
 from pipeline.units import RAD_S_PER_RPM
 
 
-def draw_from_prior(seed: int, points: int = 30) -> Drawn:
+def draw_from_prior(seed: int) -> Drawn:
     """The machine of a seed with bearings and trouble from the prior of the fit."""
     drawn, generator = draw_machine(seed), np.random.default_rng([seed, 21])
-    config = compose_real(drawn)
-    families = compose_config(["model=bearings_network", "loss=response"]).model.families
-    measured = np.array(config.machine.speeds.rpm())
-    rpm = np.linspace(measured[0], measured[-1], points)
+    config, model = compose_real(drawn), compose_config(["model=bearings_network", "loss=response"]).model
+    rpm = np.array(config.machine.speeds.rpm())
     rotor, speeds = load_rotor(config.machine.rotor), rpm * RAD_S_PER_RPM
+    nodes = np.geomspace(speeds[0], speeds[-1], model.count)
     loads, journals = find_static_loads(rotor), estimate_journals(rotor)
     sizes = {name: ALWAYS_FITTED[name] * generator.standard_normal() for name in ("youngs_modulus", "disc_mass")}
     trouble = {
@@ -59,12 +60,11 @@ def draw_from_prior(seed: int, points: int = 30) -> Drawn:
     while True:
         bearings = {}
         for node, load, diameter in zip(rotor.bearing_nodes, loads, journals, strict=True):
-            prior = generator.choice(
-                np.array(make_priors(families, speeds, float(load), float(diameter)), dtype=object)
-            )
-            coordinates = prior.mean + prior.root @ generator.standard_normal(prior.root.shape[1])
-            every = torch.as_tensor(coordinates.reshape(len(COEFFICIENTS), points).T)
-            values = to_coefficients(every, torch.as_tensor(speeds), slopes=False)[0].tolist()
+            priors = make_priors(model.families, nodes, float(load), float(diameter))
+            prior = generator.choice(np.array(priors, dtype=object))
+            drawn_nodes = prior.mean + prior.root @ generator.standard_normal(prior.root.shape[1])
+            between = CubicSpline(np.log(nodes), drawn_nodes.reshape(len(COEFFICIENTS), -1).T)(np.log(speeds))
+            values = to_coefficients(torch.as_tensor(between), torch.as_tensor(speeds), slopes=False)[0].tolist()
             bearings[str(node)] = {
                 "kind": "speed_table",
                 "rows": [[at, *row] for at, row in zip(rpm.tolist(), values, strict=True)],
