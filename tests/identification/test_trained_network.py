@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from comparing import machine, task
+from scipy.interpolate import CubicSpline
 
 from pipeline.comparison.cases import Case
 from pipeline.config.compose import compose_config
@@ -15,11 +16,14 @@ from pipeline.identification.answer import conclude
 from pipeline.identification.blocks import Prior
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
+from pipeline.identification.model import coefficient_model
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import TrainedNetworks, keep_all
+from pipeline.identification.trained_network import STEEP, TrainedNetworks, keep_all, start_networks
 from pipeline.identification.training import FitSetup, setup_of
+from pipeline.impedance import PLACES
+from pipeline.laws.population import make_priors
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.parameters import ModelParameter
 
@@ -142,3 +146,20 @@ def test_halves_need_four_speeds() -> None:
 def test_other_losses_train_all_layers_anyway() -> None:
     with pytest.raises(ConfigError, match="must come with kind: response"):
         compose_config(["experiment=hydrostatic_stiffness", "+loss.hidden=trained"])
+
+
+@pytest.mark.parametrize("family", ["plain", "tilting_pad", "rolling", "unknown"])
+def test_a_network_starts_where_the_nodes_are(family: str) -> None:
+    """A bearing drawn from the prior wanders from node to node: the start follows it to a tenth of 1 % noise."""
+    import torch
+
+    config = compose_config(["model=bearings_network", "loss=response"]).model
+    speeds, over = np.geomspace(100, 700, config.count), torch.linspace(-1, 1, 112, dtype=torch.float64)[:, None]
+    (prior,) = make_priors([family], speeds, 1e3, 0.06)
+    drawn = prior.mean + prior.root @ np.random.default_rng(0).standard_normal(len(prior.mean))
+    between = CubicSpline(np.linspace(-1, 1, config.count), drawn.reshape(8, -1).T)(over[:, 0])
+    spline = coefficient_model(config, tuple(PLACES), {"speed": speeds}, np.ones((1, 8)))
+    model, wanted = replace(spline, functions=None, n_functions=0, **config.network), torch.as_tensor(between)
+    generator, rest = torch.Generator().manual_seed(0), torch.zeros(1, 1, 0, dtype=torch.float64)
+    start = start_networks(model, np.zeros((1, 8)), generator, over, wanted[None, None], rest, steep=STEEP)
+    assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 2e-3
