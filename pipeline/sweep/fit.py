@@ -15,13 +15,17 @@ model lacks something: the scatter then holds that, too.
 The number of modes is chosen by Schwarz's criterion, with the number of independent numbers n / tau in place of n; tau
 is the correlation time of the residual in rows.
 
-Legend: S rows, K modes, B powers of the background. SI, rad/s.
+Several channels share natural frequencies and damping ratios; A_k and B_i are each channel's own. Where nothing is
+swept (rate 0), Q is also the acceleration over a force or a current at a standing rotor: then "speeds" are frequencies
+of the excitation, and A_k holds the mode's participation over its modal mass.
+
+Legend: S rows, K modes, B powers of the background, P channels (no axis for a single probe). SI, rad/s.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -38,11 +42,11 @@ Respond = Callable[[float, float, np.ndarray, float], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class RunUp:
-    """One probe in one run-up or run-down at a constant rate."""
+    """A probe, or channels, in a run-up or run-down at a constant rate; or responses to a force, at the rate 0."""
 
     FEWEST: ClassVar[int] = 40  # rows that are fitted
     speeds: np.ndarray  # (S,) rad/s, ascending
-    vectors: np.ndarray  # (S,) complex, angle as a lead of e^{j theta}
+    vectors: np.ndarray  # (S,), or (S, P) for :func:`fit_near`; complex, angle as a lead of e^{j theta}
     rate: float  # rad/s^2
     rate_deviation: float | None = None  # rad/s^2, of a rate that was measured
     departure: float | None = None  # rad/s, the largest difference of a row from a straight ramp of that rate
@@ -55,9 +59,9 @@ class ModalFit:
     frequencies: np.ndarray  # (K,) rad/s
     dampings: np.ndarray  # (K,)
     covariance: np.ndarray  # (2K, 2K) of the logarithms of frequencies and dampings, in turn
-    amplitudes: np.ndarray  # (K,) complex, of A
-    background: np.ndarray  # (B,) complex
-    fitted: np.ndarray  # (S,) complex
+    amplitudes: np.ndarray  # (K,) or (K, P) complex, of A
+    background: np.ndarray  # (B,) or (B, P) complex
+    fitted: np.ndarray  # (S,) or (S, P) complex
     misfit: float  # root mean square of the residual over that of the vectors
     correlation: float  # tau, rows
     criterion: float  # Schwarz's, less is better
@@ -100,6 +104,14 @@ def fit_modes(run_up: RunUp, count: int, degree: int = 2) -> ModalFit:
     return _fit(_Problem(run_up, count, degree), _list_starts(run_up, degree, count))
 
 
+def fit_near(run_up: RunUp, modes: Sequence[tuple[float, float]], degree: int = 2) -> ModalFit:
+    """The modes that are looked for near these natural frequencies (rad/s) and damping ratios, as many as are given.
+
+    Channels count by the squares of their vectors: divide each by its noise.
+    """
+    return _fit(_Problem(run_up, len(modes), degree), [np.log(modes).ravel()])
+
+
 def fit_decay(run_up: RunUp, near: float, degree: int = 2, small: float = 0.2, seen: float = 0.8) -> ModalFit | None:
     """The one mode, near the frequency ``near`` (rad/s), that dies away behind the peak; A is what it begins with.
 
@@ -114,8 +126,9 @@ def fit_decay(run_up: RunUp, near: float, degree: int = 2, small: float = 0.2, s
     tail = RunUp(speeds[behind], vectors[behind], run_up.rate)
     if len(tail.speeds) < RunUp.FEWEST:
         return None
-    starts = [np.log([near * factor, 0.01]) for factor in (0.98, 1.0, 1.02)]
-    fitted = _fit(_Problem(tail, 1, degree, decay_freely), starts)
+    fitted = _fit(
+        _Problem(tail, 1, degree, decay_freely), [np.log([near * factor, 0.01]) for factor in (0.98, 1.0, 1.02)]
+    )
     alone = np.vander(tail.speeds / tail.speeds.mean(), degree + 1).astype(complex)
     left = tail.vectors - alone @ np.linalg.lstsq(alone, tail.vectors, rcond=None)[0]
     return fitted if np.linalg.norm(tail.vectors - fitted.fitted) < seen * np.linalg.norm(left) else None
@@ -147,7 +160,7 @@ def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
         fitted=columns @ linear,
         misfit=float(np.linalg.norm(residual) / np.linalg.norm(vectors)),
         correlation=tau,
-        criterion=_weigh(residual, 4 * problem.count + 2 * (problem.degree + 1), tau),
+        criterion=_weigh(residual, 2 * problem.count + 2 * linear.size, tau),
     )
 
 
@@ -193,14 +206,14 @@ class _Problem:
         return np.stack([*modes, *(ratio**i + 0j for i in range(self.degree + 1))], axis=1)
 
     def project(self, x: np.ndarray, keep: Rows = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        """Columns of all rows, and the linear numbers (K + B,) that fit the kept rows best."""
+        """Columns of all rows, and the linear numbers (K + B,) or (K + B, P) that fit the kept rows best."""
         columns = self.columns(x)
         return columns, np.linalg.lstsq(columns[keep], self.run_up.vectors[keep], rcond=None)[0]
 
     def residual(self, x: np.ndarray, keep: Rows = slice(None)) -> np.ndarray:
-        """(2 S,) real, over the root mean square of the vectors."""
+        """(2 S P,) real, over the root mean square of the vectors."""
         columns, linear = self.project(x, keep)
-        left = (columns @ linear - self.run_up.vectors)[keep]
+        left = (columns @ linear - self.run_up.vectors)[keep].ravel()
         return np.concatenate([left.real, left.imag]) / np.sqrt((np.abs(self.run_up.vectors) ** 2).mean())
 
     def solve(
@@ -247,13 +260,12 @@ def _jackknife(problem: _Problem, best: np.ndarray, blocks: int = 16) -> np.ndar
 
 def _measure_correlation(residual: np.ndarray) -> float:
     """1 + 2 sum of the autocorrelations up to the first that is not positive, rows."""
-    lags = range(1, len(residual) // 4)
-    products = (float((residual[lag:] * residual[:-lag].conj()).real.sum()) for lag in lags)
+    products = (float((residual[lag:] * residual[:-lag].conj()).real.sum()) for lag in range(1, len(residual) // 4))
     return 1 + 2 * sum(itertools.takewhile(lambda product: product > 0, products)) / float((abs(residual) ** 2).sum())
 
 
 def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
-    independent = 2 * len(residual) / tau
+    independent = 2 * residual.size / tau
     mean = float((np.abs(residual) ** 2).mean())
     return independent * np.log(mean) + parameters * np.log(independent)
 

@@ -14,6 +14,7 @@ from pipeline.sweep.fit import (
     choose_sense,
     fit_decay,
     fit_modes,
+    fit_near,
     fit_single_and_pair,
     measure_rate,
     read_smoothed_peak,
@@ -62,6 +63,17 @@ def test_two_modes_are_found_exactly(rate: float) -> None:
     assert found.background == pytest.approx([RUNOUT, 0, 0], abs=1e-10)
     steady = sum(size * respond_steadily(rpm * RPM, z, run_up.speeds) for rpm, z, size in TWO) + RUNOUT
     assert respond_as_steady(run_up, found) == pytest.approx(steady, abs=1e-9)
+
+
+def test_channels_share_the_modes_of_responses_to_a_force() -> None:
+    """Acceleration over force at a standing rotor, -w^2 times the receptance of two modes, at three channels."""
+    w, f, z = np.linspace(40, 70, 61)[:, None], np.array([51.4, 56.0]), np.array([0.025, 0.055])
+    sizes = np.array([[1.0, -0.3, 2.0], [0.2, 1.0, 1j]])
+    vectors = -(w**2) / (f**2 - w**2 + 2j * z * f * w) @ sizes + np.array([1.0, 0.5j, 0.0])
+    fit = fit_near(RunUp(w[:, 0], vectors, 0.0), [(51.0, 0.02), (57.0, 0.04)])
+    assert fit.frequencies == pytest.approx(f, rel=1e-7)
+    assert fit.dampings == pytest.approx(z, rel=1e-6)
+    assert fit.amplitudes == pytest.approx(-sizes, abs=1e-6)
 
 
 @pytest.mark.slow
