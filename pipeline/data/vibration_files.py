@@ -3,10 +3,12 @@
 Vibration: ``run, speed_rpm, node, direction, amplitude_m, phase_deg``, one row a measured displacement; direction x,
 y, or the angle of a probe in degrees from x towards y; amplitude zero-to-peak, phase of Q in q(t) = Re(Q e^{jwt}). A
 column ``frequency_hz`` gives the excitation frequency where it is not the rotor speed's; without it, and where it is
-blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A column ``condition`` names
-what was on the machine in each run: runs of one condition repeat each other. The order of the rows means nothing.
-Further columns are operating conditions (:mod:`pipeline.config.operating`), such as ``oil_temperature_degC``: a run may
-have a speed once at each of them. A run has all channels at each of its speeds, and need not have the speeds of others.
+blank, the response is synchronous; a synchronous run may be off the nominal speed by 1 %. A standing rotor (0 rpm)
+needs it: each frequency of its force is a run; along x push a forward and a backward force of half the size together. A
+column ``condition`` names what was on the machine in each run: runs of one condition repeat each other. The order of
+the rows means nothing. Further columns are operating conditions (:mod:`pipeline.config.operating`), such as
+``oil_temperature_degC``: a run may have a speed once at each of them. A run has all channels at each of its speeds, and
+need not have the speeds of others.
 Excitation: see :mod:`pipeline.data.excitation_files`.
 """
 
@@ -171,8 +173,10 @@ def read_measured(
     nodes = read_nodes(table["node"], vibration, n_nodes and n_nodes + n_casings)
     angles = _read_angles(table["direction"], vibration)
     rpm, amplitude = table["speed_rpm"], table["amplitude_m"]
-    if (rpm <= 0).any():
-        raise DataError(f"'{vibration}' must have speeds above zero, but got {rpm.min():g} rpm")
+    if not ((rpm > 0) | (rpm == 0) & (np.asarray(table.get(_FREQUENCY, 0 * rpm)) > 0)).all():
+        raise DataError(
+            f"'{vibration}' must have speeds above zero, or zero with a {_FREQUENCY}, but got {rpm.min():g} rpm"
+        )
     strange = amplitude[(amplitude < 0) | (amplitude > 1)]
     if len(strange):
         raise DataError(f"'{vibration}' must have amplitudes of zero or more, up to 1 m, but got {strange[0]:g} m")

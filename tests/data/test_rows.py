@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,12 @@ import pytest
 from conftest import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from small_rotor import small_machine
 
+from pipeline import default_setup, fit
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.excitation_files import write_excitation
+from pipeline.data.simulate import simulate
 from pipeline.data.vibration_files import read_measured, write_vibration
 
 CHANNELS = ((0, 0.0), (0, 90.0), (2, 45.0))
@@ -74,3 +78,16 @@ def test_a_row_that_is_there_twice_is_named(row: int, files: Path) -> None:
     words = f"the first: run '{run}', {float(rpm):g} rpm, node {node} {direction})"
     with refused("must have one row a run, speed, node and direction", words):
         with_rows(files, [*rows[::-1], rows[row]], header)
+
+
+@pytest.mark.slow
+def test_a_standing_rotor_that_is_pushed_tells_its_bearings(tmp_path: Path) -> None:
+    """Files of 12 frequencies at 0 rpm, modelled and without noise, give back what they were made with."""
+    made, bearings = small_machine((1e6, 0, 0, 2e6, 2e3, 0, 0, 1e3), speeds=np.zeros(1))
+    frequencies = 2 * np.pi * np.linspace(20, 60, 12)[None]
+    forces = tuple(Excitation(f"{w:.0f}", "force", 2, 10.0, 0.0) for w in frequencies[0])
+    write_vibration(tmp_path / "vibration.csv", data := simulate(made.rotor, bearings, forces, frequencies))
+    write_excitation(tmp_path / "excitation.csv", data)
+    read = read_measured(tmp_path / "vibration.csv", tmp_path / "excitation.csv")
+    answer = fit(replace(made, dataset=read), default_setup(made.guess, constant=True))
+    assert answer.table(bearings).values == pytest.approx(bearings.values, rel=1e-5)
