@@ -9,7 +9,7 @@ bearings). Bearings H = H0 + dH change the force on the shaft by ``-dH q_b``, so
 and a derivative needs no further solution: with ``T = a_sb - a_sb dH (I + a_bb dH)^-1 a_bb``, the receptance of the
 rotor on the bearings H, ``dq_s / dH_ij = -T_i q_bj``.
 
-Where a casing moves (:mod:`pipeline.rotor.soft_ground`) its x and y stand beside those of the bearings, whose
+Where a casing moves (:mod:`pipeline.rotor.stored`) its x and y stand beside those of the bearings, whose
 displacements are then the shaft's less the casing's, and dH has the change of its support.
 
 These equations are written once, for arrays of NumPy and for tensors of torch, which may lead with a batch.

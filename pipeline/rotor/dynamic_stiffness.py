@@ -19,8 +19,7 @@ import numpy as np
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import DOF_PER_NODE, RotorModel, casing_dof, seal_dof
-from pipeline.rotor.seals import Seals
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel, Seals, casing_dof, seal_dof
 
 _NO_BLOCKS = np.empty((0, 0))
 

@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.rotor.interpolation import derive_by_bearing, derive_by_casing, move_bearing, move_casing
-from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
-from pipeline.rotor.seals import NO_SEALS
+from pipeline.rotor.model import DOF_PER_NODE, NO_SEALS, TRANSLATIONS, RotorModel, translation_dof
 
 UNITS = {
     "youngs_modulus": "",

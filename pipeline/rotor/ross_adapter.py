@@ -1,6 +1,15 @@
 """The one module that imports ROSS: configuration in, matrices and bearing tables out.
 
 ``import ross`` takes seconds, so it happens on first use.
+
+A bearing on a support is identified as the shaft feels it, film and support in series: no vibration of the shaft tells
+one from the other. With a support's node i and a shaft's node s it is
+
+    Z = Z_ss - Z_si Z_ii^-1 Z_is,     K = Re Z,     C = Im Z / w,     each part K + j w C - w^2 M
+
+at the speed w: exact where the frequency is the rotor's.
+
+Legend: m nodes of a stand, the shaft's first. SI units.
 """
 
 from __future__ import annotations
@@ -8,7 +17,8 @@ from __future__ import annotations
 import itertools
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -17,12 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.rotor import RotorConfig, ShaftSegmentConfig
+from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError, name_beside, nearest
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten
-from pipeline.rotor.model import RotorModel
-from pipeline.rotor.supports import Stand, find_seals, find_stands
+from pipeline.rotor.model import COLUMNS, NO_SEALS, RotorModel, Seals
 from pipeline.rotor.weight import GRAVITY
 
 _LATERAL = (0, 1, 3, 4)
@@ -52,7 +61,7 @@ def assemble(config: RotorConfig) -> RotorModel:
     """
     rotor = make_rotor(config)
     lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
-    last, stands = len(rotor.nodes) - 1, _find_stands(rotor)
+    last, stands = len(rotor.nodes) - 1, find_stands(rotor)
     beside = {*map(id, rotor.bearing_elements), *(id(mass) for mass in rotor.point_mass_elements if mass.n > last)}
     without_bearings = [element for element in rotor.elements if id(element) not in beside]
     mass, damping, gyroscopic, stiffness = _sum_elements(rotor, without_bearings, lateral)
@@ -68,15 +77,9 @@ def assemble(config: RotorConfig) -> RotorModel:
         bearing_nodes=_find_bearings(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
         total_mass=float(rotor.m),
-        seals=find_seals(rotor.bearing_elements, last, ross().SealElement),
+        seals=find_seals(rotor),
         supported_nodes=tuple(stand.node for stand in stands if config.file and stand.supported),
     )
-
-
-def _find_stands(rotor: Any) -> tuple[Stand, ...]:
-    """The bearings of a rotor, with their supports."""
-    last = len(rotor.nodes) - 1
-    return find_stands(rotor.bearing_elements, rotor.point_mass_elements, last, ross().SealElement)
 
 
 def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
@@ -102,7 +105,7 @@ def bearing_table(
     rotor = make_rotor(config)
     speeds, operating = np.asarray(speeds, dtype=float), operating or {}
     if bearing.saved:
-        stands = _find_stands(rotor)
+        stands = find_stands(rotor)
         nodes = tuple(stand.node for stand in stands)
         values = np.array([[flatten(*stand.blocks(speed)) for speed in speeds] for stand in stands])
     else:
@@ -134,14 +137,15 @@ def make_rotor(config: RotorConfig) -> Any:
         rs.ShaftElement(
             L=segment.length / segment.elements,
             idl=segment.inner_diameter,
-            odl=left,
-            odr=right,
+            odl=segment.outer_diameter + i * rise,
+            odr=segment.outer_diameter + (i + 1) * rise,
             material=material,
             shear_effects=config.shear_effects,
             rotary_inertia=config.rotary_inertia,
         )
         for segment in config.shaft
-        for left, right in _diameters(segment)
+        for rise in [((segment.end_diameter or segment.outer_diameter) - segment.outer_diameter) / segment.elements]
+        for i in range(segment.elements)
     ]
     discs = [
         rs.DiskElement(n=disc.node, m=disc.mass, Id=disc.diametral_inertia, Ip=disc.polar_inertia)
@@ -154,17 +158,9 @@ def make_rotor(config: RotorConfig) -> Any:
     return rs.Rotor(shaft, discs)
 
 
-def _diameters(segment: ShaftSegmentConfig) -> Iterator[tuple[float, float]]:
-    """Outer diameters of each element at its ends, m."""
-    first, count = segment.outer_diameter, segment.elements
-    rise = ((segment.end_diameter or first) - first) / count
-    for i in range(count):
-        yield first + i * rise, first + (i + 1) * rise
-
-
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     """Where the bearings stand: in a rotor file that has bearings, the file says so."""
-    if config.file and (stands := _find_stands(rotor)):
+    if config.file and (stands := find_stands(rotor)):
         return tuple(stand.node for stand in stands)
     if not config.bearing_nodes:
         raise ConfigError(
@@ -244,3 +240,109 @@ def _check_shaft(starts: list[Any], file: Path) -> None:
                 f"machine.rotor.file must have one shaft, but that of '{file}' ends at node {a + 1} and another begins "
                 f"at node {b} (rotors on one axis or joined by gears): save the rotor that was measured by itself"
             )
+
+
+# --- what stands between shaft and ground --------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Everything that holds one node of the shaft: ROSS's bearing elements, and point masses beside the shaft."""
+
+    node: int
+    elements: tuple[Any, ...]
+    masses: tuple[Any, ...] = ()
+
+    @property
+    def supported(self) -> bool:
+        """True where the coefficients that the shaft feels hold at the rotor's own frequency alone."""
+        linked = any(_ends(element) != {self.node} for element in self.elements)
+        return linked or any(_has(element, "m") for element in self.elements)
+
+    def blocks(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """K and C (2, 2) that the shaft feels at ``speed`` rad/s."""
+        if not self.supported:  # as they stand in the file
+            stiffness = sum(element.K(speed)[:2, :2] for element in self.elements)
+            return np.asarray(stiffness), np.asarray(sum(element.C(speed)[:2, :2] for element in self.elements))
+        felt = self._condense(speed)
+        return felt.real, felt.imag / speed
+
+    def _condense(self, w: float) -> np.ndarray:
+        nodes = list(dict.fromkeys([self.node, *(end for one in self.elements for end in sorted(_ends(one)))]))
+        total = np.zeros((len(nodes), 2, len(nodes), 2), dtype=complex)
+        for element in self.elements:
+            whole = element.K(w) + 1j * w * element.C(w) - w**2 * element.M(w)
+            ends = [nodes.index(int(element.n))]
+            ends += [nodes.index(int(element.n_link))] if element.n_link is not None else []
+            for i, a in enumerate(ends):
+                for j, b in enumerate(ends):
+                    total[a, :, b] += whole[3 * i : 3 * i + 2, 3 * j : 3 * j + 2]
+        for mass in self.masses:
+            at = nodes.index(int(mass.n))
+            total[at, :, at] -= w**2 * mass.M()[:2, :2]
+        matrix = total.reshape(2 * len(nodes), 2 * len(nodes))
+        try:
+            solution = np.linalg.solve(matrix[2:, 2:], matrix[2:, :2])
+        except np.linalg.LinAlgError:
+            raise ConfigError(
+                f"a support must be held to give its bearing coefficients, but that of node {self.node} is not at "
+                f"{w:.6g} rad/s: add a bearing element from its node to the ground"
+            ) from None
+        return np.asarray(matrix[:2, :2] - matrix[:2, 2:] @ solution)
+
+
+def find_stands(rotor: Any) -> tuple[Stand, ...]:
+    """The bearings of ROSS's ``rotor`` with their supports, one for each node of the shaft that one stands at.
+
+    Raises ConfigError for bearings that hold two nodes of the shaft together.
+    """
+    last, stands = len(rotor.nodes) - 1, []
+    bearings = [element for element in rotor.bearing_elements if not isinstance(element, ross().SealElement)]
+    # A thrust bearing holds the shaft along its axis alone.
+    bearings = [element for element in bearings if _has(element, *"kcm") or not _has(element, "kzz", "czz")]
+    for node in sorted({end for bearing in bearings for end in _ends(bearing) if end <= last}):
+        joined, found = {node}, []
+        rest = list(bearings)
+        # From the shaft's node through the supports; another node of the shaft ends the way.
+        while grown := [element for element in rest if _ends(element) & joined]:
+            rest = [element for element in rest if element not in grown]
+            found += grown
+            joined |= {end for element in grown for end in _ends(element) if end > last}
+            both = sorted({end for element in grown for end in _ends(element) if end <= last} | {node})
+            if len(both) > 1:
+                raise ConfigError(
+                    "machine.rotor.file must hold each bearing node of the shaft by itself, but "
+                    f"'{grown[0].tag}' holds the nodes {both[0]} and {both[1]} together: give each bearing a support "
+                    "of its own, or link it to none (n_link)"
+                )
+        beside = tuple(mass for mass in rotor.point_mass_elements if int(mass.n) in joined and int(mass.n) > last)
+        stands.append(Stand(node, tuple(found), beside))
+    return tuple(stands)
+
+
+def find_seals(rotor: Any) -> Seals:
+    """The seals of ROSS's ``rotor``. Raises ConfigError for one on a support, and one beside the shaft."""
+    rows: list[list[float]] = []
+    seals: list[Any] = [element for element in rotor.bearing_elements if isinstance(element, ross().SealElement)]
+    for seal, spring in enumerate(seals):
+        if spring.n_link is not None or spring.n >= len(rotor.nodes):
+            raise ConfigError(
+                f"machine.rotor.file must have seals between shaft and ground, but '{spring.tag}' at node {spring.n} "
+                "stands on a support: leave out its n_link"
+            )
+        constant = spring.frequency is None or len(spring.kxx) == 1
+        speeds = np.array([np.nan]) if constant else np.array(spring.frequency, dtype=float)
+        columns = np.array([np.asarray(getattr(spring, name), dtype=float) for name in COLUMNS])
+        rows += [[seal, spring.n, speed, *values] for speed, values in zip(speeds, columns.T, strict=True)]
+    return Seals(np.array(rows)) if rows else NO_SEALS
+
+
+def _ends(element: Any) -> set[int]:
+    """The nodes that an element joins to each other or to the ground."""
+    return {int(element.n)} | ({int(element.n_link)} if element.n_link is not None else set())
+
+
+def _has(element: Any, *kinds: str) -> bool:
+    """Whether a coefficient of these kinds (k, c, m: any lateral one) is not zero."""
+    names = [name for name in (*COLUMNS, "kzz", "czz") if name in kinds or (name[0] in kinds and name in COLUMNS)]
+    return any(np.any(np.asarray(getattr(element, name), dtype=float)) for name in names)

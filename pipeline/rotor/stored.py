@@ -1,10 +1,20 @@
-"""What ROSS made is kept in the cache: its import takes seconds, and is needed for a new rotor or bearing only."""
+"""What ROSS made is kept in the cache: its import takes seconds, and is needed for a new rotor or bearing only.
+
+A rotor's casings may move: each is a node of its own between film and support. A bearing pushes the shaft by ``-H d``
+and its casing by ``+H d``, with ``d`` the shaft's motion less the casing's. Where a support
+``S = K_s + j w C_s - w^2 M_s`` holds the casing, the shaft feels both in series,
+
+    Z = (H^-1 + S^-1)^-1,    q_casing = S^-1 Z q_shaft
+
+Here the casing's displacement stays among the unknown ones, so that modes and motions in time have it, too. SI units.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,9 +25,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import hash_parts, keep, look_up
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig
-from pipeline.rotor.model import RotorModel
-from pipeline.rotor.seals import Seals
-from pipeline.rotor.soft_ground import put_on_base, put_on_supports
+from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, Seals
 
 if TYPE_CHECKING:
     from pipeline.config import runs
@@ -26,7 +34,7 @@ if TYPE_CHECKING:
 Recordings = TypeVar("Recordings", bound="AnyRecordingsConfig")
 KIND = "rotors"
 _BEARINGS = "bearings"
-_CODE = ("ross_adapter", "supports", "bearings")
+_CODE = ("ross_adapter", "bearings")
 _LAWS = ("oil", "numbers", "short_bearing", "table")
 _MADE_BY = [
     *(Path(__file__).with_name(f"{name}.py") for name in _CODE),
@@ -55,15 +63,10 @@ def load_rotor(config: RotorConfig) -> RotorModel:
 
     Raises ConfigError where ``config.file`` can't be read, and for a support where no bearing is.
     """
-    return put_on_base(put_on_supports(_load_shaft(config), config.supports), config.base)
-
-
-def _load_shaft(config: RotorConfig) -> RotorModel:
-    """The rotor with its bearings on the ground."""
     key = hash_rotor(config)
     kept = _look_up(KIND, key, {*_ARRAYS, *_REST, _SEALS})
     if kept:
-        return RotorModel(
+        rotor = RotorModel(
             **{name: kept[name] for name in _ARRAYS},
             bearing_nodes=tuple(kept["bearing_nodes"].astype(int).tolist()),
             disc_nodes=tuple(kept["disc_nodes"].astype(int).tolist()),
@@ -73,11 +76,51 @@ def _load_shaft(config: RotorConfig) -> RotorModel:
             bearing_shifts=(),
             casings=(),
         )
-    from pipeline.rotor.ross_adapter import assemble
+    else:
+        from pipeline.rotor.ross_adapter import assemble
 
-    rotor = assemble(config)
-    _keep(KIND, key, {name: getattr(rotor, name) for name in (*_ARRAYS, *_REST)} | {_SEALS: rotor.seals.rows})
-    return rotor
+        rotor = assemble(config)
+        _keep(KIND, key, {name: getattr(rotor, name) for name in (*_ARRAYS, *_REST)} | {_SEALS: rotor.seals.rows})
+    return _put_on_ground(rotor, config) if config.n_casings else rotor
+
+
+_UPRIGHT = {"mass": 1.0, "damping": 3e4, "stiffness": 1e8}
+"""kg m^2, N m s, N m: a casing does not tilt, and its rotations, which nothing feels, are overdamped."""
+
+
+def _put_on_ground(rotor: RotorModel, config: RotorConfig) -> RotorModel:
+    """The rotor with a casing for each support, in their order; or on a base, whose modes are coordinates of unit mass.
+
+    Two coordinates are x and y of a node of the ground. With participations ``u_r`` (2,) a point of a base moves by
+    ``sum u_r eta_r``, and a force f there drives each by ``u_r f``: what the base yields is ``sum u_r u_r' / (w_r^2 -
+    w^2 + 2 j zeta_r w_r w)``, which pedestals share (Friswell, Penny, Garvey and Lees 2010, Dynamics of Rotating
+    Machines). Raises ConfigError for a support or a point that is at no bearing, for the second support of a bearing,
+    and where bearings have supports of a rotor's file.
+    """
+    base, free = config.base, [node for node in rotor.bearing_nodes if node not in rotor.supported_nodes]
+    nodes = base.points or tuple(support.node for support in config.supports)
+    if not set(nodes) <= set(free) or (config.supports and len(set(nodes)) < len(nodes)):
+        key, once = ("base.points", "") if base.points else ("supports", " each once,")
+        raise ConfigError(
+            f"machine.rotor.{key} must have bearing nodes without a support ({', '.join(map(str, free))}),{once} but "
+            f"has {', '.join(map(str, nodes))}: leave the others out, here or in the rotor file"
+        )
+    held = [{name: support.matrices[name][d] for name in _UPRIGHT} for support in config.supports for d in (0, 1)]
+    for mode in base.modes:
+        w = 2 * np.pi * mode.frequency
+        held.append({"mass": 1.0, "damping": 2 * mode.damping_ratio * w, "stiffness": w**2})
+    rest = DOF_PER_NODE * -(-len(held) // TRANSLATIONS)
+    wide: dict[str, Any] = {name: np.pad(getattr(rotor, name), (0, rest)) for name in _ARRAYS if name != "positions"}
+    ground = np.arange(rotor.n_dof, rotor.n_dof + rest)
+    at = ground[ground % DOF_PER_NODE < TRANSLATIONS][: len(held)]
+    for name, size in _UPRIGHT.items():
+        wide[name][ground, ground] = size
+        wide[name][at, at] = [sizes[name] for sizes in held]
+    shapes = rotor.participation
+    if base.points:
+        shapes = np.zeros((len(nodes), TRANSLATIONS, rest * TRANSLATIONS // DOF_PER_NODE))
+        shapes[..., : len(held)] = np.stack([mode.participation for mode in base.modes], axis=-1)
+    return replace(rotor, **wide, casings=nodes, participation=shapes)
 
 
 def load_modelled_bearings(
