@@ -11,7 +11,7 @@ from pipeline.reporting.verdict_tables import print_verdicts, tabulate_verdicts
 from pipeline.stages.analysis import Analysis, made_once
 from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, ANSWER, restore
-from pipeline.trust.assessment import judge_answer
+from pipeline.trust.judgement import judge_answer
 
 
 def run(analysis: Analysis) -> StageOutput:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +20,6 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
 from pipeline.trust.misfit import Misfit, measure_misfit
 from pipeline.twin.prediction import find_shares
-
-
-class Growth(NamedTuple):
-    """The largest real part of an eigenvalue over the speeds, 1/s; positive is unstable."""
-
-    largest: float
-    deviation: float  # its standard deviation
-    unstable_rpm: float | None  # the lowest speed at which it is told from zero
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,7 +37,7 @@ class Evidence:
     predicted: Mapping[str, float]  # run -> mean square error predicted from the other runs, over the noise
     superposed: Mapping[str, float]  # run -> mean square error by superposition of the others, over the noise
     priors: Mapping[str, float]  # model parameter -> value after the fit, in prior deviations
-    growth: Growth
+    growth: Mapping[str, float | None]  # see :func:`find_growth`
     outcome: str  # of the training
 
     @property
@@ -57,17 +49,6 @@ class Evidence:
     def band(self) -> np.ndarray:
         """(B, S, 8) half the 95 % interval."""
         return np.asarray(NOMINAL_95 * self.deviations.values)
-
-
-def leave_out_unbounded(
-    measurement: Measurement, identified: IdentifiedModel, fitted: np.ndarray
-) -> tuple[Measurement, np.ndarray]:
-    """The measurement and the mask ``fitted`` (S, P, R) at the speeds where the coefficients are numbers.
-
-    Nothing holds an exponential at speeds that were held out as a range: there is nothing to judge.
-    """
-    keep = identified.table(measurement.updated_known).bounded
-    return (measurement, fitted) if keep.all() else (measurement.select(keep), fitted[keep])
 
 
 def gather(
@@ -129,8 +110,10 @@ def find_growth(
     identified: IdentifiedModel,
     uncertainty: Uncertainty,
     most_speeds: int = 40,
-) -> Growth:
-    """The growth of the identified machine, at ``most_speeds`` of its speeds."""
+) -> dict[str, float | None]:
+    """The growth of the identified machine, at ``most_speeds`` of its speeds: the largest real part of an eigenvalue,
+    1/s (positive is unstable), its standard deviation, and the lowest speed at which it is told from zero.
+    """
     from pipeline.data.vibration_files import to_rpm
     from pipeline.twin.mode_deviations import deviate_modes
     from pipeline.twin.modes import Stability, find_modes, judge_growth
@@ -145,7 +128,11 @@ def find_growth(
         if judge_growth(float(largest), float(spread)) is Stability.UNSTABLE
     ]
     s = int(modes.growth.argmax())
-    return Growth(float(modes.growth[s]), float(deviation[s]), float(unstable[0]) if unstable else None)
+    return {
+        "largest_growth": float(modes.growth[s]),
+        "largest_growth_std": float(deviation[s]),
+        "unstable_from_rpm": float(unstable[0]) if unstable else None,
+    }
 
 
 def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str, float]:

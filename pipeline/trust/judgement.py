@@ -1,4 +1,5 @@
-"""The Judgement: what an answer is worth, for each coefficient, bearing and the whole, made once.
+"""The Judgement: what an answer is worth, for each coefficient, bearing and the whole, made once: what speaks for it
+and against it, and which run or mistake is worth trying.
 
 ``verdicts.json`` holds it; every page and line on trust after a fit reads it.
 """
@@ -12,19 +13,35 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.trust.evidence import Evidence
+from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation
+from pipeline.data.excitation_files import list_candidates
+from pipeline.data.sensors import name_channel
+from pipeline.evaluation.errors import find_contradiction
+from pipeline.identification.fit import loss_of
+from pipeline.identification.held_out import held_out_points, held_out_runs
+from pipeline.identification.identified import Answer
+from pipeline.identification.quality import MISMATCH
+from pipeline.problem.ranking import rank_indices
+from pipeline.trust.evidence import Evidence, gather
+from pipeline.trust.linearised import Gains, weigh_candidates
 from pipeline.trust.misfit import describe_held_out
-from pipeline.trust.next_run import Gains, describe_run
+from pipeline.trust.mistake import Mistake
+from pipeline.trust.mistakes import WORTH_TRYING, find_mistakes
 from pipeline.trust.verdict import (
     ORDER,
     CoefficientVerdict,
     Reason,
     Verdict,
+    find_contradicted,
     gravest,
     judge_coefficient,
+    judge_contradiction,
     judge_machine,
+    judge_mistakes,
     worst,
 )
+from pipeline.write_numbers import write_number
 
 AS_FELT = "the bearings as the shaft feels them (film and support)"
 NO_RUN = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
@@ -59,7 +76,18 @@ class Judgement:
     def record(self) -> dict[str, Any]:
         """For JSON: ``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null."""
         return {
-            "verdicts": [_record(judged) for judged in self.verdicts],
+            "verdicts": [
+                {
+                    "bearing": judged.bearing,
+                    "node": judged.node,
+                    "coefficient": judged.coefficient,
+                    "verdict": judged.verdict.value,
+                    "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
+                    "next": judged.next,
+                    "checks": _finite(judged.checks),
+                }
+                for judged in self.verdicts
+            ],
             "bearings": [
                 {"node": node} | _sum_up([judged for judged in self.verdicts if judged.node == node])
                 for node in self.nodes
@@ -67,6 +95,60 @@ class Judgement:
             "machine": _sum_up(self.verdicts, self.common)
             | {"reservation": self.reservation, "identified": AS_FELT if self.as_felt else "the bearings"},
         }
+
+
+def judge_answer(config: Config, answer: Answer, about: Mapping[str, Any]) -> dict[str, Any]:
+    """The record of the Judgement, with the mark of the model that it is of; ``about`` is ``training.json``."""
+    if answer.uncertainty is None:
+        reason = Reason(
+            Verdict.WITH_CARE,
+            "This loss weighs no noise, so nobody knows how far its answer may be off.",
+            "Train with loss=response, which states deviations, and ask again.",
+        )
+        nodes = answer.table.nodes
+        verdicts = [
+            CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in answer.names[b]
+        ]
+        judged = Judgement(nodes, tuple(verdicts), (reason,), as_felt=_may_have_supports(config)).record()
+    else:
+        judged = assess(config, answer, about)[0]
+    return judged | {"model": about["model"]}
+
+
+def _may_have_supports(config: Config) -> bool:
+    """Whether a support may be part of what is identified: anywhere but in a simulation of the machine as modelled, and
+    where supports are stated beside the bearings."""
+    simulated = not (config.data.vibration or config.data.excitation) and config.machine.recordings.format == "none"
+    return not config.machine.rotor.n_casings and (not simulated or config.machine.as_built is not None)
+
+
+def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[dict[str, Any], Evidence]:
+    """The Judgement on a fit that states deviations, and what it rests on; ``about`` has ``fit`` and ``outcome`` of
+    ``training.json``."""
+    updated, uncertainty = answer.measurement, answer.uncertainty
+    assert uncertainty is not None
+    data, training = updated.dataset, config.training
+    fitted = data.present[:, None] & ~held_out_points(data.speeds, data.operating, training)[:, None, None]
+    fitted = np.broadcast_to(fitted, data.displacement.shape).copy()
+    if loss_of(config.loss).weighs_noise:
+        fitted[..., held_out_runs(updated, training)] = False
+    # Nothing holds an exponential at speeds that were held out as a range: there is nothing to judge.
+    keep = answer.model.table(updated.updated_known).bounded
+    updated, fitted = (updated, fitted) if keep.all() else (updated.select(keep), fitted[keep])
+    given = (updated, answer.model, uncertainty)
+    evidence, linear = gather(*given, about["fit"], fitted, about["outcome"])
+    gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
+    mistakes: list[Mistake] = []
+    wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
+    if wanders and evidence.misfit.of_stated > WORTH_TRYING:
+        values = updated.unknowns.leading(evidence.answer.values)
+        # The probes that x and y were made of.
+        made_of = {} if config.data.vibration or config.data.excitation else config.machine.recordings.probes
+        probes = {name: name_channel(probe.node, probe.angle) for name, probe in made_of.items()}
+        mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
+    against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
+    against += judge_contradiction(find_contradiction(about, config.model.kind))
+    return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
 
 
 def judge(
@@ -84,91 +166,52 @@ def judge(
         as_felt: whether a support may be part of the coefficients.
         unexplained: mean square over the noise, of readings that the fit did not see, which rejects a model.
     """
-    common, nodes, shared = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, _list_common(evidence)
+    from pipeline.data.vibration_files import to_rpm
+
+    common, nodes, fit = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, evidence.fit
+    unseen = {kind: fit[kind] for kind in ("held_out_speeds", "held_out_runs") if kind in fit}
+    rpm, most_moved = (
+        to_rpm(evidence.answer.speeds),
+        max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None),
+    )
+    shared = {
+        "mismatch": {
+            "chi_square_over_expected": fit["chi_square"]["value"] / max(fit["chi_square"]["expected"], 1.0),
+            "probability": evidence.misfit.probability,
+            "ljung_box_probability": fit["whiteness"].get("probability"),
+        },
+        "held_out": {f"{kind}_over_noise": entry["mean_square_over_noise"] for kind, entry in unseen.items()},
+        "predicted_from_other_runs_over_noise": dict(evidence.predicted),
+        "superposition_over_noise": dict(evidence.superposed),
+        "model_parameters": most_moved and dict(zip(("most_moved", "prior_deviations"), most_moved, strict=True)),
+        "stability": evidence.growth,
+        "speeds": {"first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
+    }
     verdicts = []
     places = np.argwhere(~np.isnan(evidence.deviations.values).all(axis=1)).tolist()
     for (b, c), determined in zip(places, evidence.deviations.judge(), strict=True):
         reasons, checks = judge_coefficient(evidence, determined, b, c)
         reasons = gravest([*common, *(_add_step(reason, gains, b, c, nodes[b]) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))
-    unseen = _pick_held_out(evidence)
     held_out = tuple(describe_held_out(kind, entry) for kind, entry in unseen.items())
     off = [entry["mean_square_over_noise"] or np.inf for entry in unseen.values()]
     rejected = not evidence.misfit.explained() or max(off, default=0.0) > unexplained
     return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt, rejected)
 
 
-def _pick_held_out(evidence: Evidence) -> dict[str, Mapping[str, Any]]:
-    """What the fit says of readings that it did not see, by kind."""
-    return {kind: evidence.fit[kind] for kind in ("held_out_speeds", "held_out_runs") if kind in evidence.fit}
-
-
-def refuse_without_deviations(
-    nodes: Sequence[int], coefficients: Sequence[Sequence[str]], as_felt: bool = False
-) -> Judgement:
-    """The Judgement of a fit by a residual, which weighs no noise and states no deviations."""
-    reason = Reason(
-        Verdict.WITH_CARE,
-        "This loss weighs no noise, so nobody knows how far its answer may be off.",
-        "Train with loss=response, which states deviations, and ask again.",
-    )
-    verdicts = [
-        CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in coefficients[b]
-    ]
-    return Judgement(tuple(nodes), tuple(verdicts), (reason,), as_felt=as_felt)
-
-
 def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: float = 1.3) -> Reason:
     """The run that would help most, where the reason has no step; one that helps less than ``worth`` is none."""
     if reason.next:
         return reason
-    run, gain = gains.best(b, c)
-    step = NO_RUN
-    if gain >= worth:
+    factors, step = [float(factor[b, c]) for _, factor in gains], NO_RUN
+    best = next(iter(rank_indices(factor if np.isfinite(factor) else np.nan for factor in factors)), 0)
+    if factors and factors[best] >= worth:
+        run, gain = gains[best][0], factors[best]
         step = (
             f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls {gain:.2g} "
             "times."
         )
     return replace(reason, next=step)
-
-
-def _list_common(evidence: Evidence) -> dict[str, Any]:
-    """The figures that all coefficients share."""
-    from pipeline.data.vibration_files import to_rpm
-
-    square, rpm = evidence.fit["chi_square"], to_rpm(evidence.answer.speeds)
-    most_moved = max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None)
-    return {
-        "mismatch": {
-            "chi_square_over_expected": square["value"] / max(square["expected"], 1.0),
-            "probability": evidence.misfit.probability,
-            "ljung_box_probability": evidence.fit["whiteness"].get("probability"),
-        },
-        "held_out": {
-            f"{kind}_over_noise": entry["mean_square_over_noise"] for kind, entry in _pick_held_out(evidence).items()
-        },
-        "predicted_from_other_runs_over_noise": dict(evidence.predicted),
-        "superposition_over_noise": dict(evidence.superposed),
-        "model_parameters": most_moved and dict(zip(("most_moved", "prior_deviations"), most_moved, strict=True)),
-        "stability": {
-            "largest_growth": evidence.growth.largest,
-            "largest_growth_std": evidence.growth.deviation,
-            "unstable_from_rpm": evidence.growth.unstable_rpm,
-        },
-        "speeds": {"first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
-    }
-
-
-def _record(judged: CoefficientVerdict) -> dict[str, Any]:
-    return {
-        "bearing": judged.bearing,
-        "node": judged.node,
-        "coefficient": judged.coefficient,
-        "verdict": judged.verdict.value,
-        "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
-        "next": judged.next,
-        "checks": _finite(judged.checks),
-    }
 
 
 def _join(verdicts: Sequence[CoefficientVerdict]) -> Verdict:
@@ -192,6 +235,22 @@ def _sum_up(verdicts: Sequence[CoefficientVerdict], common: Sequence[Reason] = (
         "reason": " ".join([f"{good} of {len(verdicts)} coefficients are good.", *(r.sentence for r in reasons[:1])]),
         "next": next((step for step in steps if step != NO_RUN), steps[0] if steps else None),
     }
+
+
+def describe_run(acting: Sequence[Excitation]) -> str:
+    """In words: weights and forces with their nodes and angles."""
+    phrases = []
+    for weight in acting:
+        if weight.kind == "unbalance":
+            what = f"a weight of {write_number(1e6 * weight.magnitude, digits=3)} g mm at node {weight.node}"
+        else:
+            what = (
+                f"a {weight.whirl} rotating force of {write_number(weight.magnitude, digits=3)} N at node {weight.node}"
+            )
+        if len(acting) > 1:
+            what += f" at {np.degrees(weight.phase):.0f} deg"
+        phrases.append(what)
+    return " and ".join(phrases)
 
 
 def _finite(value: Any) -> Any:

@@ -8,15 +8,17 @@ Legend: S speeds, P channels, R runs, B bearings, Z weights, T parameters. SI un
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from pipeline.data.dataset import name_direction
+from pipeline.data.dataset import EVERYWHERE, Excitation, name_direction
 from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 
 
@@ -131,3 +133,48 @@ def linearise(
 def name_channels(measurement: Measurement) -> list[str]:
     """What each channel is called."""
     return [f"node {node} {name_direction(angle)}" for node, angle in measurement.dataset.channels]
+
+
+# --- which run would help a coefficient most ---------------------------------------------------------
+
+
+Run = tuple[Excitation, ...]
+Gains = Sequence[tuple[Run, np.ndarray]]
+"""Candidate runs, and by how many times deviations (B, 8) fall with each."""
+
+
+def weigh_candidates(
+    measurement: Measurement,
+    identified: IdentifiedModel,
+    uncertainty: Uncertainty,
+    linear: LinearisedFit,
+    candidates: Sequence[Run],
+) -> Gains:
+    """By how many times each candidate run, beside the runs that there are, lowers the deviations of the coefficients:
+    linear theory, medians over the speed.
+
+    ``measurement`` is at the fitted model parameters.
+    """
+    nodes = measurement.rotor.n_nodes
+    able = tuple(acting for acting in candidates if all(weight.node < nodes for weight in acting))
+    if not able:
+        return []
+    before, data, gains = linear.deviate(np.linalg.inv(linear.normal)), measurement.dataset, []
+    excitations = tuple(replace(weight, run=f"candidate {i}") for i, acting in enumerate(able) for weight in acting)
+    shape = (*data.displacement.shape[:2], len(able))
+    plan = replace(
+        data,
+        runs=tuple(f"candidate {i}" for i in range(len(able))),
+        displacement=np.zeros(shape, dtype=complex),
+        excitations=excitations,
+        own_frequencies=None,
+        subtracted=None,
+        present=EVERYWHERE,
+    )
+    planned = replace(measurement, dataset=plan, drift=NO_LEVELS)  # its runs are conditions of their own
+    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
+    for i, acting in enumerate(able):
+        after = linear.deviate(np.linalg.inv(linear.normal + cross(seen[:, :, [i]], seen[:, :, [i]])))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gains.append((acting, np.median(before / after, axis=1)))
+    return gains

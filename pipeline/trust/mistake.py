@@ -1,7 +1,7 @@
 """Every single mistake that a person may have made, as the measurement without it: what :mod:`pipeline.trust.mistakes`
 tries.
 
-Legend: S speeds, P channels, R runs.
+Legend: S speeds, P channels, R runs, E free numbers.
 """
 
 from __future__ import annotations
@@ -9,12 +9,28 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import Excitation
 from pipeline.problem.measurement import Measurement
-from pipeline.trust.quick_fit import NOTHING_FREE, Free
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Numbers that an explanation leaves free, zero as stated: each adds to the readings in proportion to itself."""
+
+    shares: np.ndarray  # (S, P, R, E) of the predicted readings
+    shown: np.ndarray | float = 0.0  # (S, P, R, E) m, whatever is predicted
+
+    def __len__(self) -> int:
+        """E."""
+        return int(self.shares.shape[-1])
+
+
+NOTHING_FREE = Free(np.zeros((1, 1, 1, 0)))
+"""What an explanation without free numbers has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +44,19 @@ class Mistake:
     gross: bool = True  # False: a number is a little off
     single: bool = False  # of one run, weight or probe
     penalty: float = 1.0  # on what it leaves over: it explains nothing, or leaves many numbers free
+    falls_by: float = 1.0  # mean square over the noise with it over that without it, once it was tried
+
+
+def alter(measurement: Measurement, weighed: np.ndarray | None = None, **data: Any) -> Measurement:
+    """Another data set, with the noise of its readings where that changes."""
+    noise = measurement.deviation if weighed is None else weighed
+    return replace(measurement, dataset=replace(measurement.dataset, **data), weighed=noise)
 
 
 def change(measurement: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
     """Other readings with their noise; the response is not solved again."""
-    data = replace(measurement.dataset, displacement=displacement, subtracted=None)
-    return replace(measurement, dataset=data, solved=measurement.response, weighed=deviation)
+    changed = alter(measurement, deviation, displacement=displacement, subtracted=None)
+    return replace(changed, solved=measurement.response)
 
 
 def scale(measurement: Measurement, factor: np.ndarray | complex) -> Measurement:
@@ -111,13 +134,8 @@ def of_all_readings(measurement: Measurement) -> Iterator[Mistake]:
         yield Mistake(
             "the angles of all probes have the wrong sign (counted against the rotation)",
             "the probes' angles, from x towards y in the sense of rotation",
-            _with_channels(measurement, mirrored),
+            alter(measurement, channels=mirrored),
         )
-
-
-def _with_channels(measurement: Measurement, channels: tuple[tuple[int, float], ...]) -> Measurement:
-    dataset = replace(measurement.dataset, channels=channels)
-    return replace(measurement, dataset=dataset, weighed=measurement.deviation)
 
 
 def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistake]:
@@ -144,12 +162,18 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             yield Mistake(
                 f"probe '{names[p]}' stands {turn:g} deg from its stated angle",
                 f"the angle of '{names[p]}'",
-                _with_channels(measurement, turned),
+                alter(measurement, channels=turned),
             )
+        rest = [i for i in range(count) if i != p]
+        fewer = {
+            "channels": tuple(data.channels[i] for i in rest),
+            "displacement": data.displacement[:, rest],
+            "subtracted": None if data.subtracted is None else data.subtracted[:, rest],
+        }
         yield Mistake(
             f"probe '{names[p]}' is left out: it is dead, clipped, loose, or somewhere else",
             f"the signal of '{names[p]}'",
-            _without_probe(measurement, p),
+            alter(measurement, measurement.deviation[:, rest], **fewer),
             penalty=LEFT_OUT,
         )
         yield Mistake(
@@ -165,24 +189,6 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             "the cables of these two channels",
             exchange(measurement, [(i, j)], 1),
         )
-    yield from _of_bearings(measurement)
-
-
-def _without_probe(measurement: Measurement, probe: int) -> Measurement:
-    """The measurement without a channel."""
-    data, rest = measurement.dataset, [p for p in range(len(measurement.dataset.channels)) if p != probe]
-    fewer = replace(
-        data,
-        channels=tuple(data.channels[p] for p in rest),
-        displacement=data.displacement[:, rest],
-        subtracted=None if data.subtracted is None else data.subtracted[:, rest],
-    )
-    return replace(measurement, dataset=fewer, weighed=measurement.deviation[:, rest])
-
-
-def _of_bearings(measurement: Measurement) -> Iterator[Mistake]:
-    """The probes of two nodes exchanged."""
-    data = measurement.dataset
     nodes = list(dict.fromkeys(node for node, _ in data.channels))
     for a, b in itertools.combinations(nodes, 2):
         channels = {
@@ -244,6 +250,11 @@ def of_weights(measurement: Measurement, straight: float = 0.02) -> Iterator[Mis
     data, rotor = measurement.dataset, measurement.rotor
     weights = [i for i, excitation in enumerate(data.excitations) if excitation.kind == "unbalance"]
     planes = dict.fromkeys([*rotor.disc_nodes, *(data.excitations[i].node for i in weights)])
+
+    def put(changed: dict[int, Excitation]) -> Measurement:
+        acting = tuple(changed.get(i, excitation) for i, excitation in enumerate(data.excitations))
+        return alter(measurement, excitations=acting)
+
     for i in weights:
         weight = data.excitations[i]
         for node in planes:
@@ -251,39 +262,47 @@ def of_weights(measurement: Measurement, straight: float = 0.02) -> Iterator[Mis
                 yield Mistake(
                     f"the weight of run '{weight.run}' at node {weight.node} is at node {node}",
                     f"the plane of the weight of run '{weight.run}'",
-                    _with_weights(data, measurement, {i: replace(weight, node=node)}),
+                    put({i: replace(weight, node=node)}),
                 )
         if len([e for e in data.excitations if e.run == weight.run]) > 1 or abs(np.sin(weight.phase)) > straight:
             yield Mistake(
                 f"the weight of run '{weight.run}' at node {weight.node} has the wrong sign of its angle",
                 "whether angles on the shaft count with the rotation (shaft_angle)",
-                _with_weights(data, measurement, {i: replace(weight, phase=-weight.phase)}),
+                put({i: replace(weight, phase=-weight.phase)}),
             )
     if any(abs(np.sin(data.excitations[i].phase)) > straight for i in weights):
         mirrored = {i: replace(data.excitations[i], phase=-data.excitations[i].phase) for i in weights}
         yield Mistake(
             "the angles of all weights have the wrong sign (against the rotation)",
             "shaft_angle",
-            _with_weights(data, measurement, mirrored),
+            put(mirrored),
         )
-
-
-def _with_weights(data: VibrationDataset, measurement: Measurement, changed: dict[int, Excitation]) -> Measurement:
-    acting = tuple(changed.get(i, excitation) for i, excitation in enumerate(data.excitations))
-    return replace(measurement, dataset=replace(data, excitations=acting), weighed=measurement.deviation)
 
 
 # --- rotor, runout, residual unbalance -----------------------------------------------------------------
 
 
-def of_rest(measurement: Measurement) -> Iterator[Mistake]:
-    """Mistakes in rotor, baseline and runout."""
+_SHARES = (-0.67, -0.2, -0.1, -0.05, -0.03, 0.03, 0.05, 0.1, 0.2)
+"""Of Young's modulus: aluminium for steel, hot steel, another diameter."""
+
+
+def of_rest(measurement: Measurement, small: float = 0.15) -> Iterator[Mistake]:
+    """Mistakes in rotor, baseline and runout; up to a share ``small`` the rotor may be the stated one."""
     data = measurement.dataset
     shape = data.displacement.shape
-    yield from _of_rotor(measurement)
-    turning = measurement.synchronous()
-    if turning.sum() > 2 and rotor_planes(measurement):
-        unknowns = replace(measurement.unknowns, planes=rotor_planes(measurement))
+    for share in _SHARES:
+        for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
+            changed = {what: (1 + share) * getattr(measurement.rotor, what)}
+            rotor = replace(measurement.rotor, **changed)
+            yield Mistake(
+                f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
+                "machine.rotor: is it this rotor's file, and of this material?",
+                replace(measurement, rotor=rotor, weighed=measurement.deviation),
+                gross=abs(share) > small,
+            )
+    turning, planes = measurement.synchronous(), tuple(dict.fromkeys(measurement.rotor.disc_nodes))
+    if turning.sum() > 2 and planes:  # at its discs the machine's own unbalance may be thought of
+        unknowns = replace(measurement.unknowns, planes=planes)
         yield Mistake(
             "the machine's own unbalance is in the readings: the baseline is not subtracted, or it is twice",
             "data.baseline, or identify.unbalance_planes",
@@ -302,26 +321,3 @@ def of_rest(measurement: Measurement) -> Iterator[Mistake]:
             Free(np.zeros_like(constant), size * constant),
             gross=False,
         )
-
-
-def rotor_planes(measurement: Measurement) -> tuple[int, ...]:
-    """Nodes at which the machine's own unbalance may be thought of: its discs."""
-    return tuple(dict.fromkeys(measurement.rotor.disc_nodes))
-
-
-_SHARES = (-0.67, -0.2, -0.1, -0.05, -0.03, 0.03, 0.05, 0.1, 0.2)
-"""Of Young's modulus: aluminium for steel, hot steel, another diameter."""
-
-
-def _of_rotor(measurement: Measurement, small: float = 0.15) -> Iterator[Mistake]:
-    """Another stiffness or mass; up to a share ``small`` the rotor may be the stated one."""
-    for share in _SHARES:
-        for what, name in (("stiffness", "shaft's Young's modulus (or its diameters)"), ("mass", "rotor's mass")):
-            changed = {what: (1 + share) * getattr(measurement.rotor, what)}
-            rotor = replace(measurement.rotor, **changed)
-            yield Mistake(
-                f"the {name} is {abs(100 * share):.0f} % {'larger' if share > 0 else 'smaller'} than stated",
-                "machine.rotor: is it this rotor's file, and of this material?",
-                replace(measurement, rotor=rotor, weighed=measurement.deviation),
-                gross=abs(share) > small,
-            )

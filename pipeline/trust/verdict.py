@@ -21,7 +21,7 @@ from pipeline.data.sensors import NOMINAL_95
 from pipeline.problem.determination import Determination, Determined, measure_sizes
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence
-from pipeline.trust.mistakes import Found
+from pipeline.trust.mistake import Mistake
 from pipeline.write_numbers import write_percent
 
 
@@ -97,7 +97,7 @@ def judge_contradiction(contradiction: tuple[str, str] | None) -> list[Reason]:
     return [Reason(Verdict.WITH_CARE, *contradiction)] if contradiction else []
 
 
-def judge_mistakes(mistakes: Sequence[Found], contradicted: Sequence[str] = ()) -> list[Reason]:
+def judge_mistakes(mistakes: Sequence[Mistake], contradicted: Sequence[str] = ()) -> list[Reason]:
     """A mistake that explains the readings: the answer is that of wrong data, however narrow its bands are.
 
     A single run, weight or probe is blamed only where the runs contradict each other without a model (``contradicted``
@@ -148,13 +148,13 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
                 "Train again with more steps (optimizer.levenberg_marquardt.steps=1000).",
             )
         )
-    if evidence.growth.unstable_rpm is not None:
+    largest, deviation, unstable_rpm = evidence.growth.values()
+    if unstable_rpm is not None:
         reasons.append(
             Reason(
                 Verdict.WITH_CARE,
-                f"The identified machine is unstable from {evidence.growth.unstable_rpm:.0f} rpm (growth "
-                f"{evidence.growth.largest:.2g} +- {evidence.growth.deviation:.2g} 1/s), where a steady vibration "
-                "cannot be measured.",
+                f"The identified machine is unstable from {unstable_rpm:.0f} rpm (growth {largest:.2g} +- "
+                f"{deviation:.2g} 1/s), where a steady vibration cannot be measured.",
                 "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
             )
         )

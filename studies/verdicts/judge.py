@@ -37,7 +37,7 @@ from pipeline.problem.configured import build_measurement, model_machine, read_p
 from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.trust.assessment import assess
+from pipeline.trust.judgement import assess
 
 CASES = Path(__file__).with_name("cases.yaml")
 ACCURATE = 0.05

@@ -11,11 +11,10 @@ from conftest import assert_says
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import Deviations
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.trust.evidence import Evidence, Growth
+from pipeline.trust.evidence import Evidence
 from pipeline.trust.judgement import judge
 from pipeline.trust.misfit import measure_misfit
-from pipeline.trust.mistakes import Found
-from pipeline.trust.next_run import Gains
+from pipeline.trust.mistake import Mistake
 from pipeline.trust.verdict import find_contradicted, judge_mistakes
 
 FIT: dict[str, Any] = {
@@ -25,6 +24,10 @@ FIT: dict[str, Any] = {
 }
 VALUES = dict(zip(COEFFICIENTS, (1e8, 1e6, -1e6, 1e8, 1e5, 1e3, -1e3, 1e5), strict=True))
 CERTAIN = {name: 0.01 * abs(value) for name, value in VALUES.items()}
+
+
+def growing(largest: float, deviation: float, unstable_from: float | None = None) -> dict[str, float | None]:
+    return {"largest_growth": largest, "largest_growth_std": deviation, "unstable_from_rpm": unstable_from}
 
 
 def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evidence:
@@ -42,14 +45,14 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "predicted": {"a": 1.0, "b": 1.0},
         "superposed": {"a": 1.0, "b": 1.0},
         "priors": {},
-        "growth": Growth(-1.0, 0.1, None),
+        "growth": growing(-1.0, 0.1),
         "outcome": "converged",
     }
     return Evidence(**(given | changed))
 
 
-def record(evidence: Evidence, mistakes: list[Found] | None = None) -> dict[str, Any]:
-    return judge(evidence, Gains(), judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
+def record(evidence: Evidence, mistakes: list[Mistake] | None = None) -> dict[str, Any]:
+    return judge(evidence, [], judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
 
 
 def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
@@ -97,8 +100,8 @@ def test_a_cross_term_of_zero_has_a_verdict() -> None:
 
 
 def test_a_growth_within_its_deviation_turns_nothing() -> None:
-    assert record(gathered(growth=Growth(0.35, 1.7, None)))["machine"]["verdict"] == "good"
-    judged = record(gathered(growth=Growth(9.0, 1.0, 2100.0)))
+    assert record(gathered(growth=growing(0.35, 1.7)))["machine"]["verdict"] == "good"
+    judged = record(gathered(growth=growing(9.0, 1.0, 2100.0)))
     assert judged["machine"]["verdict"] == "with care"
     assert "9 +- 1 1/s" in judged["machine"]["reason"]
 
@@ -129,11 +132,19 @@ def test_the_model_may_be_at_fault_where_no_sum_of_runs_objects() -> None:
 
 @pytest.mark.parametrize(("superposed", "doubted"), [({"a": 1.0}, True), ({"a": 16.0}, False), ({}, True)])
 def test_a_single_mistake_is_doubted_where_no_sum_of_runs_objects(superposed: dict[str, float], doubted: bool) -> None:
-    single = Found("the weight of run 'a' is not as stated", "the weight of run 'a'", 9.0, False, single=True)
+    nothing: Any = None  # no readings: it was tried
+    single = Mistake(
+        "the weight of run 'a' is not as stated",
+        "the weight of run 'a'",
+        nothing,
+        gross=False,
+        single=True,
+        falls_by=9.0,
+    )
     reason = record(gathered(superposed=superposed), [single])["machine"]["reason"]
     assert "3 times better if this is so: the weight of run 'a'" in reason
     assert ("the model may be at fault" in reason) is doubted
-    every = Found("all readings are 2 times too small", "the conventions", 9.0, True)
+    every = Mistake("all readings are 2 times too small", "the conventions", nothing, falls_by=9.0)
     assert "may be at fault" not in record(gathered(superposed=superposed), [every])["machine"]["reason"]
 
 
