@@ -27,7 +27,7 @@ from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.search import Searched, list_choices, search
 from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
-from pipeline.problem.kalman_filter import filter_bearings
+from pipeline.problem.expansion import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.parameters import OF_SUPPORT
 

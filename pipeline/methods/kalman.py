@@ -1,7 +1,7 @@
 """Kalman's measurement update at each frequency, then least squares (after Kang, Shi, Zhang, Zhen and Gu 2020).
 
 It is no filter that follows a signal in time: the motion is stationary, its state are complex amplitudes, and each
-speed is solved by itself, with a prior of the bearing forces (:mod:`pipeline.problem.kalman_filter`).
+speed is solved by itself, with a prior of the bearing forces (:mod:`pipeline.problem.expansion`).
 
 Legend: M members, S speeds, P channels, R runs, U unknowns, A those of them that members have.
 """
@@ -17,7 +17,7 @@ from pipeline.methods.method import (
     make_estimate,
     require_determined,
 )
-from pipeline.problem.kalman_filter import filter_bearings, update_unknowns
+from pipeline.problem.expansion import filter_bearings, update_unknowns
 from pipeline.problem.measurement import Measurement
 
 

@@ -57,7 +57,14 @@ def load_known(
         stays = np.array([[name in needed[node] for name in COEFFICIENTS] for node in bearings.nodes])
         return replace(bearings, values=np.where(stays[:, None], bearings.values, 0.0))
     if isinstance(given, KnownConfig):
-        return _fill(given, key, needed, blank)
+        for b, c in ((b, COEFFICIENTS.index(name)) for b, names in enumerate(needed.values()) for name in names):
+            if (value := getattr(given, COEFFICIENTS[c])) is None:
+                raise ConfigError(
+                    f"{key} must have a value of every coefficient that is not identified, but {COEFFICIENTS[c]} is "
+                    "missing"
+                )
+            blank.values[b, :, c] = value
+        return blank
     return read_known(Path(given), nodes, speeds, needed, operating)
 
 
@@ -72,19 +79,6 @@ def require_known(known: BearingTable | None, config: Config, nodes: Sequence[in
         f"file as machine.recordings.known (of vibration of your own: data.known), such as {{{values}}}, or "
         f"'{AS_MODELLED}' for those of the machine's bearings; or identify them too (identify.unknowns)"
     )
-
-
-def _fill(given: KnownConfig, key: str, needed: dict[int, tuple[str, ...]], blank: BearingTable) -> BearingTable:
-    values = blank.values.copy()
-    for b, names in enumerate(needed.values()):
-        for name in names:
-            value = getattr(given, name)
-            if value is None:
-                raise ConfigError(
-                    f"{key} must have a value of every coefficient that is not identified, but {name} is missing"
-                )
-            values[b, :, COEFFICIENTS.index(name)] = value
-    return replace(blank, values=values)
 
 
 def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...]]:
@@ -107,8 +101,14 @@ def model_machine(config: Config, seed: int | None = None) -> tuple[RotorModel, 
     rotor, built = load_rotor(config.machine.rotor), config.machine.as_built
     list_known(config, rotor.bearing_nodes)  # refuses exceptions without a bearing
     bearings = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds, operating)
-    runs, residual = configure_excitations(config), _configure_residual(config)
-    acting, frequencies = (*runs, *residual), configure_frequencies(config, speeds)
+    runs, frequencies = configure_excitations(config), configure_frequencies(config, speeds)
+    residual = tuple(
+        Excitation(run.name, "unbalance", weight.node, weight.magnitude, weight.phase)
+        for run in config.machine.runs
+        if not run.frequency_hz and not run.frequency_ratio  # it turns with the rotor
+        for weight in config.machine.residual_unbalance
+    )
+    acting = (*runs, *residual)
     require_nodes(rotor, "machine.runs", [excitation.node for excitation in acting])
     if built is None:
         complete = simulate(rotor, bearings, acting, frequencies)
@@ -157,16 +157,6 @@ def configure_excitations(config: Config) -> tuple[Excitation, ...]:
             Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
         ]
     return tuple(acting)
-
-
-def _configure_residual(config: Config) -> tuple[Excitation, ...]:
-    """The configured residual unbalance, in every run that turns with the rotor."""
-    turning = [run for run in config.machine.runs if not run.frequency_hz and not run.frequency_ratio]
-    return tuple(
-        Excitation(run.name, "unbalance", weight.node, weight.magnitude, weight.phase)
-        for run in turning
-        for weight in config.machine.residual_unbalance
-    )
 
 
 def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:

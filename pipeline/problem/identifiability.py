@@ -101,14 +101,22 @@ def _judge(
 ) -> Identifiability:
     present = members.unknowns.present[m]
     names = tuple(name for name, identified in zip(members.unknowns.names, present, strict=True) if identified)
-    columns = unit_columns(members.matrix[m][..., present])
-    singular, free = decompose(columns)
+    matrix = members.matrix[m][..., present]
+    singular, free = decompose(unit_columns(matrix))
+    # Of all speeds together, for unknowns that are the same at every speed.
+    every = (matrix / np.abs(matrix).max(axis=(1, 2), keepdims=True)).reshape(-1, matrix.shape[-1])
+    whole = int(np.linalg.matrix_rank(unit_columns(every), tol=DEPENDENT)) if constant else 0
     rank = count_determined(singular)
     at_every_speed = (rank == len(names)).all()
-    orbit_rank, orbit_condition = _orbits(equations, bearings)
+    ranks, conditions = [], []  # of the orbits (x, y) of the runs, each of unit size; the best bearing's counts
+    for b in bearings:
+        orbits, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
+        ranks.append(count_determined(orbits))
+        conditions.append(condition_number(orbits))
+    orbit_rank, orbit_condition = np.max(ranks, axis=0), np.min(conditions, axis=0)
     if at_every_speed:
         verdict, reason = Solvability.IDENTIFIABLE, ""
-    elif (rank == len(names)).any() or (constant and _rank_over_speeds(members.matrix[m][..., present]) == len(names)):
+    elif (rank == len(names)).any() or whole == len(names):
         missing = int((rank < len(names)).sum())
         verdict = Solvability.ACROSS_SPEEDS
         reason = f"at {missing} of {len(rank)} speeds by themselves the runs do not determine {', '.join(names)}"
@@ -150,22 +158,6 @@ def condition_number(singular: np.ndarray) -> np.ndarray:
     """(S,) ratio of the largest to the smallest singular value (S, U); infinite where that is zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(singular[:, 0] / singular[:, -1])
-
-
-def _orbits(equations: BearingEquations, bearings: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Rank (S,) and condition number (S,) of the orbits (x, y) of the runs, each of unit size; the best bearing's."""
-    ranks, conditions = [], []
-    for b in bearings:
-        singular, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
-        ranks.append(count_determined(singular))
-        conditions.append(condition_number(singular))
-    return np.max(ranks, axis=0), np.min(conditions, axis=0)
-
-
-def _rank_over_speeds(matrix: np.ndarray) -> int:
-    """Rank of the equations of all speeds together, for unknowns that are the same at every speed."""
-    largest = np.abs(matrix).max(axis=(1, 2), keepdims=True)
-    return int(np.linalg.matrix_rank(unit_columns((matrix / largest).reshape(-1, matrix.shape[-1])), tol=DEPENDENT))
 
 
 def _reason(names: tuple[str, ...], rank: np.ndarray, orbit_rank: np.ndarray, equations: BearingEquations) -> str:

@@ -116,21 +116,17 @@ def levels_of(
     ``counts`` (C,) are the records behind each residual.
     """
     record = spread_blocks(record_covariance)
-    scale = left / len(residual)
-    total = scatter_of(residual, weights, left) / scale
+    scale, alike = left / len(residual), np.ptp(weights) == 0.0
+    k = 1.0 if alike else consistency(residual.shape[1], round(left, 6))  # of Gaussian data
+    total = np.asarray((residual.T * weights) @ residual.conj()) / (len(residual) * k * scale)
     freedom = left * weights.sum() ** 2 / (weights**2).sum() / len(weights)
     total = shrink(total, freedom)
-    level = _positive(total - record * np.mean(1 / counts))
+    level = total - record * np.mean(1 / counts)
+    values, vectors = np.linalg.eigh((level + level.conj().T) / 2)  # the nearest without negative eigenvalues
+    level = (vectors * np.maximum(values, 1e-9 * max(values[-1], 0.0))) @ vectors.conj().T
     if len(set(counts.tolist())) > 1:
-        k = consistency(residual.shape[1], round(left, 6)) if np.ptp(weights) > 0 else 1.0
         level = _maximise(residual * np.sqrt(weights / (k * scale))[:, None], record, counts, level)
     return NoiseLevels(record_covariance, level, freedom)
-
-
-def scatter_of(residual: np.ndarray, weights: np.ndarray, left: float) -> np.ndarray:
-    """(D, D) weighted scatter of residuals (C, D), with the consistency of Gaussian data where weights differ."""
-    total = np.asarray((residual.T * weights) @ residual.conj()) / len(residual)
-    return total if np.ptp(weights) == 0.0 else total / consistency(residual.shape[1], round(left, 6))
 
 
 def robust_weights(vectors: np.ndarray, design: np.ndarray, steps: int = 200, tolerance: float = 1e-7) -> np.ndarray:
@@ -212,12 +208,6 @@ def shrinkage_share(covariance: np.ndarray, freedom: float) -> float:
     beside = ~np.eye(len(covariance), dtype=bool)
     squares = (abs(covariance / deviation[:, None] / deviation)[beside] ** 2).sum()
     return float(min(1.0, beside.sum() / freedom / squares)) if squares > 0 else 1.0
-
-
-def _positive(covariance: np.ndarray) -> np.ndarray:
-    """The nearest covariance without negative eigenvalues."""
-    values, vectors = np.linalg.eigh((covariance + covariance.conj().T) / 2)
-    return np.asarray((vectors * np.maximum(values, 1e-9 * max(values[-1], 0.0))) @ vectors.conj().T)
 
 
 def _maximise(

@@ -21,21 +21,25 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, nearest
 from pipeline.laws.journal import JournalLaw
 from pipeline.laws.law_set import LawSet
-from pipeline.problem.accuracy import (
-    Candidates,
-    Plan,
-    inform_coefficients,
-    inform_numbers,
-    plan_speeds,
-    scale_to_limits,
-)
 from pipeline.problem.configured import (
     build_measurement,
     configure_excitations,
     configure_frequencies,
     configure_sensors,
 )
-from pipeline.problem.design import choose, plan_covariance, run_information, unknown_sizes, whiten_plan
+from pipeline.problem.design import (
+    Candidates,
+    Plan,
+    choose,
+    inform_coefficients,
+    inform_numbers,
+    plan_covariance,
+    plan_speeds,
+    run_information,
+    scale_to_limits,
+    unknown_sizes,
+    whiten_plan,
+)
 from pipeline.problem.law_information import guess_table
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable

@@ -54,6 +54,10 @@ def _solved(
 
     With them how many planes N count, 0 where the runs are not synchronous, and the response (S, n, R + N + 2 B) of the
     forces, of 1 kg m at each plane, of 1 N at each bearing. Each run's own response is at its own frequencies.
+
+    Runs that turn with the rotor are one block, though each has a speed of its own. What the weights do on the
+    reference bearings is that of the run's own speed; what other bearings change of it is that of the mean. The error
+    is of first order in the departure, times the amplification: under 3 % of the response for records within 0.5 %.
     """
     speeds, places = dataset.speeds, bearing_places(rotor)
     held = np.eye(rotor.n_dof)[:, casing_dof(rotor).ravel()]
@@ -61,8 +65,14 @@ def _solved(
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     if bow is not None:
         forces = forces + bow[:, None] * turns_with_rotor(dataset)
-    system = banded(rotor)
-    for runs, w in _group_alike(dataset):
+    system, frequencies = banded(rotor), dataset.frequencies
+    turning = np.flatnonzero(turns_with_rotor(dataset))
+    blocks = [*group_runs(frequencies)]
+    if len(turning) > 0 and (frequencies[:, turning] != frequencies[:, turning[:1]]).any():
+        rest = np.setdiff1d(np.arange(len(dataset.runs)), turning)
+        others = group_runs(frequencies[:, rest]) if len(rest) else ()
+        blocks = [(turning, frequencies[:, turning].mean(axis=1)), *((rest[runs], w) for runs, w in others)]
+    for runs, w in blocks:
         turning_planes = list(planes) if synchronous(w, speeds).all() else []
         width = len(runs) + len(turning_planes) + loads.shape[1]
         right = np.zeros((len(speeds), rotor.n_dof, width), dtype=complex)
@@ -77,25 +87,6 @@ def _solved(
             if (frequencies != w).any():
                 response[..., [i]] = solve(system, frequencies, speeds, right[..., [i]], impedance, places.dof)
         yield runs, w, len(turning_planes), response
-
-
-def _group_alike(dataset: VibrationDataset) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Runs (indices) in blocks, and the frequencies (S,) rad/s at which the receptance of the block is taken.
-
-    Runs that turn with the rotor are one block, though each has a speed of its own. What the weights do on the
-    reference bearings is that of the run's own speed; what other bearings change of it is that of the mean. The error
-    is of first order in the departure, times the amplification: under 3 % of the response for records within 0.5 %.
-    """
-    frequencies = dataset.frequencies
-    turning = np.flatnonzero(turns_with_rotor(dataset))
-    unlike = len(turning) > 0 and (frequencies[:, turning] != frequencies[:, turning[:1]]).any()
-    if not unlike:
-        yield from group_runs(frequencies)
-        return
-    yield turning, frequencies[:, turning].mean(axis=1)
-    rest = np.setdiff1d(np.arange(len(dataset.runs)), turning)
-    if len(rest):
-        yield from ((rest[runs], w) for runs, w in group_runs(frequencies[:, rest]))
 
 
 def _impedance(rotor: RotorModel, n_speeds: int, reference: complex) -> np.ndarray:

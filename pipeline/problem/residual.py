@@ -125,7 +125,10 @@ def linear_residual(equations: BearingEquations, unknowns: UnknownSet, known: Be
 
     Raises IdentifiabilityError where a bearing does not move.
     """
-    columns = np.stack([_column(equations, name) for name in COEFFICIENTS], axis=-1)  # (B, S, 2, R, 8)
+    columns = np.zeros((*equations.free_residual.shape, len(COEFFICIENTS)), dtype=complex)  # (B, S, 2, R, 8)
+    for c, name in enumerate(COEFFICIENTS):  # the derivative of the residual by each coefficient
+        factor = 1.0 if is_stiffness(name) else 1j * equations.frequencies
+        columns[:, :, row(name), :, c] = factor * equations.displacement[:, :, column(name)]
     matrix = np.einsum("bsirc,bcu->bsiru", columns, unknowns.expansion)
     kept = np.where(unknowns.identified[:, None], 0.0, known.values)
     offset = equations.free_residual + np.einsum("bsirc,bsc->bsir", columns, kept)
@@ -139,14 +142,6 @@ def linear_residual(equations: BearingEquations, unknowns: UnknownSet, known: Be
     )
     _check_motion(equations, residual)
     return residual
-
-
-def _column(equations: BearingEquations, name: str) -> np.ndarray:
-    """(B, S, 2, R) derivative of the residual with respect to one coefficient."""
-    derivative = np.zeros_like(equations.free_residual)
-    factor = 1.0 if is_stiffness(name) else 1j * equations.frequencies
-    derivative[:, :, row(name)] = factor * equations.displacement[:, :, column(name)]
-    return derivative
 
 
 def _check_motion(equations: BearingEquations, residual: LinearResidual) -> None:

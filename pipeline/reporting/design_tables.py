@@ -13,7 +13,7 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.operating import name_state
-from pipeline.problem.accuracy import Candidates, Plan
+from pipeline.problem.design import Candidates, Plan
 from pipeline.problem.planning import State
 from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table

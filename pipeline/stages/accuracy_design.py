@@ -8,7 +8,7 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import make_laws
-from pipeline.problem.accuracy import plan_states
+from pipeline.problem.design import plan_states
 from pipeline.problem.planning import list_states, plan_coefficients, plan_numbers, reach
 from pipeline.problem.ranking import find_least
 from pipeline.reporting.design_tables import Runs, override_states, print_reached, print_states, summarize_states

@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import ResponseEquations
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,16 +48,20 @@ class Mistake:
     falls_by: float = 1.0  # mean square over the noise with it over that without it, once it was tried
 
 
-def alter(measurement: Measurement, weighed: np.ndarray | None = None, **data: Any) -> Measurement:
-    """Another data set, with the noise of its readings where that changes."""
+def alter(
+    measurement: Measurement,
+    weighed: np.ndarray | None = None,
+    solved: ResponseEquations | None = None,
+    **data: Any,
+) -> Measurement:
+    """Another data set, with the noise of its readings where that changes, and the response where that does not."""
     noise = measurement.deviation if weighed is None else weighed
-    return replace(measurement, dataset=replace(measurement.dataset, **data), weighed=noise)
+    return replace(measurement, dataset=replace(measurement.dataset, **data), weighed=noise, solved=solved)
 
 
 def change(measurement: Measurement, displacement: np.ndarray, deviation: np.ndarray) -> Measurement:
     """Other readings with their noise; the response is not solved again."""
-    changed = alter(measurement, deviation, displacement=displacement, subtracted=None)
-    return replace(changed, solved=measurement.response)
+    return alter(measurement, deviation, measurement.response, displacement=displacement, subtracted=None)
 
 
 def scale(measurement: Measurement, factor: np.ndarray | complex) -> Measurement:
@@ -165,7 +170,7 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
                 alter(measurement, channels=turned),
             )
         rest = [i for i in range(count) if i != p]
-        fewer = {
+        fewer: dict[str, Any] = {
             "channels": tuple(data.channels[i] for i in rest),
             "displacement": data.displacement[:, rest],
             "subtracted": None if data.subtracted is None else data.subtracted[:, rest],

@@ -24,7 +24,7 @@ from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import REQUIREMENTS
-from pipeline.problem.kalman_filter import _gain
+from pipeline.problem.expansion import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison_tables import Comparison, format_noise

@@ -14,7 +14,7 @@ from pipeline.config.compose import compose_config
 from pipeline.data.excitation_files import list_candidates
 from pipeline.data.simulate import add_noise
 from pipeline.errors import ConfigError
-from pipeline.problem.accuracy import Candidates, inform_coefficients, plan_speeds, plan_states, scale_to_limits
+from pipeline.problem.design import Candidates, inform_coefficients, plan_speeds, plan_states, scale_to_limits
 from pipeline.problem.planning import Planner, plan_coefficients
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages import refit_study
