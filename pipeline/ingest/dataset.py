@@ -20,10 +20,11 @@ from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.operating import name_state
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
-from pipeline.ingest.operating import find_conditions, name_recordings, to_points
+from pipeline.ingest.operating import find_conditions, to_points
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
@@ -64,7 +65,14 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
     """
     runs = config.read()
-    notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
+    notes = [note for run in runs for note in run.notes]
+    notes += [
+        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
+        "missing?"
+        for run in runs
+        for probe, track in run.tracks.items()
+        if (count := int((track.vectors == 0).sum()))
+    ]
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
@@ -82,9 +90,18 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve(config.probes, vectors)
-    _check_size(displacement, runs)
+    largest = np.abs(displacement).max(axis=(0, 1))
+    if largest.max() > LARGEST:
+        raise DataError(
+            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
+            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
+        )
     conditions = find_conditions(config, runs, speeds)
-    labels = name_recordings(config, conditions)
+    names = [run.name for run in config.runs]
+    labels = tuple(  # with the conditions where several recordings are of one run
+        name if names.count(name) == 1 else f"{name}, {name_state({key: c[:, r] for key, c in conditions.items()})}"
+        for r, name in enumerate(names)
+    )
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
@@ -100,7 +117,6 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     )
     dataset = recorded
     if conditions:
-        names = [run.name for run in config.runs]
         dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
         notes += merged
     notes += [
@@ -153,26 +169,6 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             runout = complex(vectors.mean())
         tracks[probe] = Track(track.speeds, track.vectors - runout)
     return replace(run, tracks=tracks)
-
-
-def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
-    """A sentence for every probe whose missing values may have been written as zeros."""
-    return [
-        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
-        "missing?"
-        for run in runs
-        for probe, track in run.tracks.items()
-        if (count := int((track.vectors == 0).sum()))
-    ]
-
-
-def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
-    largest = np.abs(displacement).max(axis=(0, 1))
-    if largest.max() > LARGEST:
-        raise DataError(
-            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
-        )
 
 
 def resolve(

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import find_points, name_state, read_with_conditions, require_complete
+from pipeline.data.operating import find_points, read_with_conditions, require_complete
 from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.tracks import ROUNDING, RunTracks
@@ -100,17 +100,6 @@ def _look_up(
             f"{given[0]:.6g} to {given[-1]:.6g}: nothing is extrapolated"
         )
     return {name: np.interp(wanted, given, values[rows][order]) for name, values in operating.items()}
-
-
-def name_recordings(config: MeasuredConfig, conditions: Conditions) -> tuple[str, ...]:
-    """R names: that of the run, with its conditions where several recordings have it."""
-    names = [run.name for run in config.runs]
-    return tuple(
-        f"{name}, {name_state({key: condition[:, r] for key, condition in conditions.items()})}"
-        if names.count(name) > 1
-        else name
-        for r, name in enumerate(names)
-    )
 
 
 def _group(recorded: VibrationDataset, place: np.ndarray) -> list[list[int]]:

@@ -132,7 +132,7 @@ class UffRecordingsConfig(SignalConfig):
             _check_content(record, order, f"'{path}', record {record.name},")
         signals = {name: record.values for name, record in records.items()}
         check_channels(path, signals | {tacho: pulses.values, "time": pulses.abscissa})
-        return Loaded(check_times(path, "time", pulses.abscissa), signals, ((tacho, pulses.values),))
+        return check_times(path, "time", pulses.abscissa), signals, [(tacho, pulses.values)], ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -276,7 +276,9 @@ def _check_content(record: UffRecord, order: int, where: str) -> None:
 def _note_contradictions(record: UffRecord, metre: float, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
-    labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
+    named = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", record.ordinate_label.strip())
+    motion = find_motion(named) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", named) else None
+    labelled_size, followed = motion[1] if motion else None, find_motion(said.unit)
     stated = labelled_size or (metre if said.unit != "g" else 0.0)
     if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
@@ -296,13 +298,6 @@ def _note_contradictions(record: UffRecord, metre: float, said: VectorConvention
     if record.denominator_type in _FORCES:
         notes.append(f"{where} is per force: its numbers are right for a force of 1 N in this run")
     return notes
-
-
-def _read_unit(label: str) -> float | None:
-    """Size in SI units of what a label names; None where it names nothing that a probe measures."""
-    label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
-    motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
-    return motion[1] if motion else None
 
 
 def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
