@@ -16,7 +16,7 @@ from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
 from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import split_states
-from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions, measure
+from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure
 from pipeline.evaluation.errors import list_coverage, measure_errors
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.methods.catalogue import METHODS
@@ -75,7 +75,10 @@ class Machine:
         """
         unknowns, truth = self.identify.unknowns_of(self.rotor.bearing_nodes), self.truth(case)
         model, floor = self.settings.response.model, self.settings.floor if case.noise else 0.0
-        sensors = Sensors(self._channels(case.sensors), additive=floor, multiplicative=case.noise)
+        middle = self.rotor.n_nodes // 2 if self.settings.location is None else self.settings.location
+        nodes = self.rotor.bearing_nodes if case.sensors == "bearings" else (middle,)
+        channels = None if case.sensors == "all" else list_directions(nodes)
+        sensors = Sensors(channels, additive=floor, multiplicative=case.noise)
         generator = np.random.default_rng([self.noise_seed, case.data_set])
         return Measurement(
             rotor=self.rotor,
@@ -107,13 +110,6 @@ class Machine:
             for points in self._states
         ]
         return np.sort(np.concatenate(chosen))
-
-    def _channels(self, sensors: SensorSet) -> Channels | None:
-        if sensors == "all":
-            return None
-        location = self.settings.location
-        middle = self.rotor.n_nodes // 2 if location is None else location
-        return list_directions(self.rotor.bearing_nodes if sensors == "bearings" else (middle,))
 
 
 # --- what a method made of a case -----------------------------------------------------------------
@@ -157,7 +153,14 @@ def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
     data = machine.measure(case)
     started = time.process_time()
-    answer, outcome, reason = _ask(method, data, MethodOptions(machine.settings, machine.seed, machine.laws))
+    answer, outcome = None, ANSWERED
+    try:
+        answer = METHODS[method].identify(data, MethodOptions(machine.settings, machine.seed, machine.laws))
+        reason = answer.words
+    except Refusal as refusal:
+        outcome, reason = refusal.reason, str(refusal)
+    except np.linalg.LinAlgError as error:
+        outcome, reason = "singular", f"{REQUIREMENTS['singular']}, but: {error}"
     seconds = time.process_time() - started  # of the processor: what else runs does not count
     errors: dict[str, dict[str, CoefficientResult]] = {}
     if answer and np.isfinite(answer.coefficients.values).all():
@@ -176,16 +179,6 @@ def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
         used_speeds=(answer and answer.n_speeds) or None,
         coefficients=errors,
     )
-
-
-def _ask(method: MethodName, data: Measurement, options: MethodOptions) -> tuple[Estimate | None, str, str]:
-    try:
-        answer = METHODS[method].identify(data, options)
-    except Refusal as refusal:
-        return None, refusal.reason, str(refusal)
-    except np.linalg.LinAlgError as error:
-        return None, "singular", f"{REQUIREMENTS['singular']}, but: {error}"
-    return answer, ANSWERED, answer.words
 
 
 def _measure_errors(

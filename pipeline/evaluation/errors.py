@@ -16,8 +16,6 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import split_states, spread_states
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.identification.quality import MISMATCH
-from pipeline.laws.law_set import LawsConfig
-from pipeline.laws.oil import OilConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings
 
@@ -138,21 +136,18 @@ def find_true_numbers(machine: MachineConfig) -> dict[str, float]:
             value = getattr(modelled, _MODELLED_AS.get(name, name), None)
             if isinstance(value, float):
                 numbers[f"{node}.{name}"] = value
-        numbers |= _find_oil(laws, getattr(modelled, "oil_viscosity", None))
+        oil = getattr(modelled, "oil_viscosity", None)
+        if laws.oil is None or oil is None:
+            continue
+        if isinstance(oil, float):
+            numbers["oil.viscosity"] = oil
+            continue
+        # At the reference of the laws' oil, with the slope of its logarithm there.
+        near = getattr(laws.oil, "reference", getattr(oil, "reference", 0.0)) + np.array([-1.0, 0.0, 1.0])
+        viscosity = oil.viscosity_at(near)
+        numbers |= {"oil.viscosity": float(viscosity[1]), "oil.slope": float(np.log(viscosity[0] / viscosity[2])) / 2}
+        numbers |= {f"oil.{name}": getattr(oil, name) for name in ("b", "c") if hasattr(oil, name)}
     return numbers
-
-
-def _find_oil(laws: LawsConfig, modelled: float | OilConfig | None) -> dict[str, float]:
-    """The oil's viscosity at the reference of the laws' oil, and the slope of its logarithm there."""
-    if laws.oil is None or modelled is None:
-        return {}
-    if isinstance(modelled, float):
-        return {"oil.viscosity": modelled}
-    near = getattr(laws.oil, "reference", getattr(modelled, "reference", 0.0)) + np.array([-1.0, 0.0, 1.0])
-    viscosity = modelled.viscosity_at(near)
-    slope = float(np.log(viscosity[0] / viscosity[2])) / 2
-    pole = {f"oil.{name}": getattr(modelled, name) for name in ("b", "c") if hasattr(modelled, name)}
-    return {"oil.viscosity": float(viscosity[1]), "oil.slope": slope} | pole
 
 
 def find_contradiction(about: Mapping[str, Any], kind: str, least: float = 1e-4) -> tuple[str, str] | None:

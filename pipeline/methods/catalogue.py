@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.methods import critical_speeds, kalman, kriging, least_squares, multi_frequency, spline
+from pipeline.methods import critical_speeds, kriging, least_squares, multi_frequency, spline
 from pipeline.methods.fem_nn import fit_by, fit_laws, fit_trained, improve_paper
 from pipeline.methods.method import Method
 
@@ -57,7 +57,7 @@ METHODS: dict[str, Method] = {
             "stationary Kalman smoother, least squares",
             "after Kang et al. 2020",
             "the noise, a guess",
-            kalman.identify_by_filter,
+            least_squares.identify_by_filter,
         ),
         Method(
             "kriging",

@@ -54,13 +54,18 @@ def identify_by_kriging(
     generator = np.random.default_rng(options.seed)
     parts = [data.select(group) for group in groups]
     x = np.stack([_match(group, options.settings.prior, generator, rounds) for group in parts])  # (groups, A)
-    left_over = sum(_sum_squares(group, answer) for group, answer in zip(parts, x, strict=True))
+    off = [(_predict(p, answer) - p.dataset.displacement) / p.deviation for p, answer in zip(parts, x, strict=True)]
+    left_over = sum(2 * float((np.abs(part) ** 2).sum()) for part in off)
     readings = 2 * len(chosen) * data.dataset.displacement[0].size - x.size
     deviation = np.stack([_bound_deviation(group, answer) for group, answer in zip(parts, x, strict=True)])
     if options.constant:
         x, deviation = np.repeat(x, len(speeds), axis=0), np.repeat(deviation, len(speeds), axis=0)
     else:
-        x, deviation = (_interpolate(speeds, chosen, values) for values in (x, deviation))
+        from scipy.interpolate import PchipInterpolator
+
+        if len(chosen) < len(speeds):  # monotone cubics over the logarithm of the speed
+            place = np.log(speeds)
+            x, deviation = (PchipInterpolator(place[chosen], values)(place) for values in (x, deviation))
     evaluations = len(groups) * rounds * _count_points(x.shape[1])
     text = f"{evaluations} modelled responses, {len(groups)} surrogate{'s' * (len(groups) > 1)}"
     spread = unknowns.from_active(deviation * np.exp(x))
@@ -78,15 +83,6 @@ def _choose(speeds: np.ndarray, count: int) -> np.ndarray:
 def _count_points(active: int, each: int = 15) -> int:
     """Points of a hypercube: so many for each unknown, of which there are at least four."""
     return each * max(active, 4)
-
-
-def _interpolate(speeds: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(S, A) monotone cubic interpolation over the logarithm of the speed."""
-    from scipy.interpolate import PchipInterpolator
-
-    if len(chosen) == len(speeds):
-        return values
-    return np.asarray(PchipInterpolator(np.log(speeds[chosen]), values)(np.log(speeds)))
 
 
 def _predict(measurement: Measurement, x: np.ndarray) -> np.ndarray:
@@ -112,12 +108,6 @@ def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Ge
     }
     low, high = np.log([limits[is_stiffness(measurement.unknowns.names[u])] for _, u in measurement.unknowns.active]).T
     return _find_nearest(deviations, low, high, generator, rounds)
-
-
-def _sum_squares(measurement: Measurement, x: np.ndarray) -> float:
-    """Chi-square of the readings for one point (A,)."""
-    off = np.abs(_predict(measurement, x) - measurement.dataset.displacement)
-    return 2 * float((off**2 / measurement.deviation**2).sum())
 
 
 def _find_nearest(

@@ -1,4 +1,4 @@
-"""Least squares at each speed by itself, on a flexible shaft: plain, regularised, consistent, and smoothed.
+"""Least squares at each speed by itself, on a flexible shaft: plain, regularised, consistent, smoothed, filtered.
 
 Smoothed is what an engineer would do. The answer of each speed is that of least squares with expansion, and its weight
 what the readings' noise leaves of it. Each unknown is divided by the power law of the speed that is nearest to it, and
@@ -6,7 +6,12 @@ a natural cubic smoothing spline of the logarithm of the speed (Reinsch 1967) go
 cross-validation chooses how smooth it is (Craven and Wahba 1979), and the deviation is Wahba's (1983), which allows for
 what the smoothing hides.
 
-Legend: M members (bearings, or 1 where they share their coefficients), S speeds, R runs, P channels, U unknowns.
+Filtered is Kalman's measurement update at each frequency, then least squares (after Kang, Shi, Zhang, Zhen and Gu
+2020). It is no filter that follows a signal in time: the motion is stationary, its state are complex amplitudes, and
+each speed is solved by itself, with a prior of the bearing forces (:mod:`pipeline.problem.expansion`).
+
+Legend: M members (bearings, or 1 where they share their coefficients), S speeds, R runs, P channels, U unknowns, A
+those of them that members have.
 """
 
 from __future__ import annotations
@@ -20,9 +25,10 @@ from pipeline.methods.method import (
     describe_sensors,
     make_estimate,
     refuse_undetermined,
+    require_determined,
     require_residual,
 )
-from pipeline.problem.expansion import expand
+from pipeline.problem.expansion import expand, filter_bearings, update_unknowns
 from pipeline.problem.identifiability import judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import (
@@ -49,10 +55,11 @@ def solve_plain(data: Measurement, options: MethodOptions) -> Estimate:
     )
 
 
-def solve_tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
+def solve_tikhonov(data: Measurement, options: MethodOptions, weakest: float = 1e-8, strengths: int = 65) -> Estimate:
     """The same, minimising ``|A p + y|^2 + (strength |p|)^2`` with p in units of A's columns.
 
-    The strength of each speed minimises the generalised cross-validation function (Golub, Heath and Wahba 1979).
+    The strength of each speed minimises the generalised cross-validation function (Golub, Heath and Wahba 1979),
+    ``|residual|^2 / trace(I - A A_inverse)^2``, among so many ``strengths`` from the ``weakest`` on.
     """
     members = require_residual(data, options).by_member()
     if members.matrix.shape[2] <= members.unknowns.present.sum(axis=1).max():
@@ -60,7 +67,14 @@ def solve_tikhonov(data: Measurement, options: MethodOptions) -> Estimate:
             "nothing_to_validate",
             f"there are {members.matrix.shape[2]} equations for {members.matrix.shape[3]} unknowns",
         )
-    inverse = _invert(members, _validate_strength(members))
+    left, singular, _, _ = decompose_columns(members)
+    inside = np.einsum("msrk,msr->msk", left, members.offset)
+    outside = np.maximum((members.offset**2).sum(axis=-1) - (inside**2).sum(axis=-1), 0.0)
+    grid = np.concatenate([[0.0], np.geomspace(weakest, 1.0, strengths)])[:, None, None, None]
+    share = np.divide(grid**2, singular**2 + grid**2, out=np.ones((len(grid), *singular.shape)), where=singular > 0)
+    left_over = ((share * inside) ** 2).sum(axis=-1) + outside
+    value = left_over / (members.matrix.shape[2] - singular.shape[-1] + share.sum(axis=-1)) ** 2
+    inverse = _invert(members, np.asarray(grid[value.argmin(axis=0), 0, 0, 0]))
     values = -np.einsum("msur,msr->msu", inverse, members.offset)
     return make_estimate(data, values, _propagate_noise(data, values, inverse))
 
@@ -93,7 +107,10 @@ def solve_total(data: Measurement, options: MethodOptions, rounds: int = 4) -> E
     """
     residual = require_residual(data, options)
     values, _ = per_speed_least_squares(residual)
-    derivative = _differentiate(data)
+    # (S, R, 2 B, U + 1, P) of [A y] by the displacements: unknowns first, then the offset.
+    offset = residual_sensitivity(data.rotor, data.dataset, data.table(np.zeros_like(values)))  # (S, R, 2 B, P)
+    columns = bearing_rows(data.rotor, data.dataset, data.unknowns)  # (S, R, 2 B, U, P)
+    derivative = np.concatenate([columns, offset[:, :, :, None]], axis=3)
     for _ in range(rounds):
         covariance = _estimate_covariance(data, values)
         values = _solve(data, whiten(residual, covariance), derivative, covariance)
@@ -113,19 +130,6 @@ def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
     return np.einsum("mskv,msk,msrk->msvr", right, filtered, left) / length[..., None]
 
 
-def _validate_strength(members: LinearResidual, weakest: float = 1e-8, strengths: int = 65) -> np.ndarray:
-    """(M, S) strengths that minimise ``|residual|^2 / trace(I - A A_inverse)^2``."""
-    left, singular, _, _ = decompose_columns(members)
-    n_rows = members.matrix.shape[2]
-    inside = np.einsum("msrk,msr->msk", left, members.offset)
-    outside = np.maximum((members.offset**2).sum(axis=-1) - (inside**2).sum(axis=-1), 0.0)
-    grid = np.concatenate([[0.0], np.geomspace(weakest, 1.0, strengths)])[:, None, None, None]
-    share = np.divide(grid**2, singular**2 + grid**2, out=np.ones((len(grid), *singular.shape)), where=singular > 0)
-    left_over = ((share * inside) ** 2).sum(axis=-1) + outside
-    value = left_over / (n_rows - singular.shape[-1] + share.sum(axis=-1)) ** 2
-    return np.asarray(grid[value.argmin(axis=0), 0, 0, 0])
-
-
 def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
     covariance = _estimate_covariance(data, values)
@@ -135,15 +139,6 @@ def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray)
             for weights, rows in zip(inverse, member_rows(data.unknowns), strict=True)
         ]
     )
-
-
-def _differentiate(data: Measurement) -> np.ndarray:
-    """(S, R, 2 B, U + 1, P) derivative of ``[A y]`` by the displacements: unknowns first, then the offset."""
-    dataset, unknowns = data.dataset, data.unknowns
-    none = data.table(np.zeros((unknowns.n_members, len(dataset.speeds), len(unknowns.names))))
-    offset = residual_sensitivity(data.rotor, dataset, none)  # (S, R, 2 B, P)
-    columns = bearing_rows(data.rotor, dataset, unknowns)  # (S, R, 2 B, U, P)
-    return np.concatenate([columns, offset[:, :, :, None]], axis=3)
 
 
 def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -182,15 +177,11 @@ def solve_smoothed(data: Measurement, options: MethodOptions, fewest: int = 4) -
     for m, u in unknowns.active:
         answer, deviations = values[m, :, u], spread[m, :, u]
         if options.constant:
-            smooth[m, :, u], deviation[m, :, u] = _average(answer, deviations)
+            weight = 1 / deviations**2
+            smooth[m, :, u], deviation[m, :, u] = weight @ answer / weight.sum(), 1 / np.sqrt(weight.sum())
         elif len(answer) >= fewest:
             smooth[m, :, u], deviation[m, :, u] = smooth_over_speed(data.dataset.speeds, answer, deviations)
     return make_estimate(data, smooth, deviation)
-
-
-def _average(values: np.ndarray, deviation: np.ndarray) -> tuple[float, float]:
-    weight = 1 / deviation**2
-    return float(weight @ values / weight.sum()), float(1 / np.sqrt(weight.sum()))
 
 
 def smooth_over_speed(
@@ -238,3 +229,44 @@ def _penalise(place: np.ndarray) -> np.ndarray:
     low, high, step = second[:-1], second[1:], np.diff(place)[:, None] / 6
     mixed = low.T @ (step * high)
     return np.asarray(2 * (low.T @ (step * low) + high.T @ (step * high)) + mixed + mixed.T)
+
+
+# --- after Kalman's update ------------------------------------------------------------------------
+
+
+def identify_by_filter(data: Measurement, options: MethodOptions, least_settled: float = 0.5) -> Estimate:
+    """Coefficients of each speed by itself, from any sensors whose runs are enough.
+
+    Raises Refusal where it settles at fewer than the share ``least_settled`` of the speeds.
+    """
+    require_determined(data, together=False)
+    values, settled = filter_bearings(data)
+    if settled.mean() < least_settled:
+        raise Refusal("not_settled", f"it does at {int(settled.sum())} of {len(settled)} speeds")
+    text = f"{int(settled.sum())} of {len(settled)} speeds settled"
+    return make_estimate(data, values, _propagate_through(data, values), text)
+
+
+def _propagate_through(data: Measurement, values: np.ndarray, difference: float = 1e-6) -> np.ndarray:
+    """(M, S, U): a fixed point ``p = T(p, z)`` moves with the readings by ``(I - T_p)^-1 T_z``."""
+    active, measured = data.unknowns.active, data.dataset.displacement
+
+    def updated(state: np.ndarray, readings: np.ndarray) -> np.ndarray:
+        """(S, A) after one more update."""
+        return data.unknowns.to_active(update_unknowns(data, state, readings))
+
+    base, by_value = updated(values, measured), []
+    for m, u in active:
+        step = np.zeros_like(values)
+        step[m, :, u] = difference * np.maximum(np.abs(values[m, :, u]), 1.0)
+        by_value.append((updated(values + step, measured) - base) / step[m, :, u, None])
+    inverse = np.linalg.pinv(np.eye(len(active)) - np.stack(by_value, axis=2))
+    variance = np.zeros_like(base)
+    for p, r in np.ndindex(measured.shape[1:]):
+        size = difference * np.abs(measured[:, p, r])
+        for unit in (1.0, 1j):
+            other = measured.copy()
+            other[:, p, r] += unit * size
+            change = (inverse @ ((updated(values, other) - base) / size[:, None])[..., None])[..., 0]
+            variance += (change * data.deviation[:, p, r, None]) ** 2 / 2
+    return data.unknowns.from_active(np.sqrt(variance))

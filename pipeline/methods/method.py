@@ -114,7 +114,11 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         for _, points in split_states(data.speeds, data.operating)
         for rows in group_rows(data.present[points])
     ]
-    answers = [(points, solve(_alone(measurement, points))) for points in states]
+    answers = []
+    for points in states:  # in the runs that have them, as if there were no operating conditions
+        state = measurement.select(points, np.flatnonzero(data.present[points[0]]))
+        known = replace(state.known, operating={})
+        answers.append((points, solve(replace(state, dataset=replace(state.dataset, operating={}), known=known))))
     deviation = np.full(values.shape, np.nan)
     for points, answer in answers:
         values[:, points], deviation[:, points] = answer.coefficients.values, answer.deviation
@@ -127,13 +131,6 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
         n_speeds=sum(answer.n_speeds or len(points) for points, answer in answers) if some else 0,
     )
-
-
-def _alone(measurement: Measurement, points: np.ndarray) -> Measurement:
-    """The measurement at the ``points`` (indices) in the runs that have them, as if it had no operating conditions."""
-    state = measurement.select(points, np.flatnonzero(measurement.dataset.present[points[0]]))
-    data = replace(state.dataset, operating={})
-    return replace(state, dataset=data, known=replace(state.known, operating={}))
 
 
 # --- what methods share ----------------------------------------------------------------------------

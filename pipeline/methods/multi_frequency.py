@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import list_directions, project
 from pipeline.methods.method import (
     Estimate,
@@ -33,7 +33,11 @@ from pipeline.problem.residual import BearingEquations, bearing_equations, linea
 def identify_by_frequencies(measurement: Measurement, options: MethodOptions) -> Estimate:
     """Coefficients of each speed by itself; raises Refusal for data of one frequency a speed."""
     planes, unknowns = measurement.unknowns.planes, measurement.unknowns
-    data = _project_on_bearings(measurement) if planes else measurement
+    data, channels = measurement, list_directions(measurement.rotor.bearing_nodes)
+    if planes:  # the motion of the bearings alone: they then feel an unbalance anywhere on the shaft
+        if not set(channels) <= set(measurement.dataset.channels):
+            raise Refusal("bearings_not_measured", f"the sensors are at {describe_sensors(measurement)}")
+        data = replace(measurement, dataset=project(measurement.dataset, channels))
     dataset = data.dataset
     frequencies = [len(np.unique(np.round(frequency, 9))) for frequency in dataset.frequencies]
     equations = require_bearing_equations(data)
@@ -56,14 +60,6 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     return make_estimate(data, values, deviation, text)
 
 
-def _project_on_bearings(measurement: Measurement) -> Measurement:
-    """The motion of the bearings alone: they then feel an unbalance anywhere on the shaft."""
-    channels = list_directions(measurement.rotor.bearing_nodes)
-    if not set(channels) <= set(measurement.dataset.channels):
-        raise Refusal("bearings_not_measured", f"the sensors are at {describe_sensors(measurement)}")
-    return replace(measurement, dataset=project(measurement.dataset, channels))
-
-
 def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, np.ndarray]:
     """A (S, rows, A + 2 N) and y (S, rows) of all bearings together; rows as LinearResidual has them."""
     residual = linear_residual(equations, data.unknowns, data.known)
@@ -72,20 +68,12 @@ def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, n
     for m, u in data.unknowns.active:
         mine = 1.0 if data.unknowns.shared else (np.arange(n_bearings) == m)[:, None, None]
         columns.append((residual.matrix[..., u] * mine).swapaxes(0, 1).reshape(n_speeds, -1))
-    for node in data.unknowns.planes:
-        force = _excite_unit(data, node).swapaxes(0, 1)  # (S, B, 2, R)
+    turning = [run for run, turns in zip(data.dataset.runs, data.synchronous(), strict=True) if turns]
+    still = replace(data.dataset, displacement=np.zeros_like(data.dataset.displacement))
+    for node in data.unknowns.planes:  # the derivative by an unbalance, kg m, which is zero in runs that do not turn
+        unit = replace(still, excitations=tuple(Excitation(run, "unbalance", node, 1.0, 0.0) for run in turning))
+        force = bearing_equations(data.rotor, unit).free_residual.swapaxes(0, 1)  # (S, B, 2, R)
         for component in (force, 1j * force):
             flat = component.reshape(n_speeds, n_bearings, -1)
             columns.append(np.concatenate([flat.real, flat.imag], axis=2).reshape(n_speeds, n_bearings * n_rows))
     return np.stack(columns, axis=-1), residual.offset.swapaxes(0, 1).reshape(n_speeds, -1)
-
-
-def _excite_unit(data: Measurement, node: int) -> np.ndarray:
-    """(B, S, 2, R) derivative of the residual by an unbalance (kg m) at the node; zero in runs that do not turn."""
-    turning = [run for run, turns in zip(data.dataset.runs, data.synchronous(), strict=True) if turns]
-    still: VibrationDataset = replace(
-        data.dataset,
-        displacement=np.zeros_like(data.dataset.displacement),
-        excitations=tuple(Excitation(run, "unbalance", node, 1.0, 0.0) for run in turning),
-    )
-    return bearing_equations(data.rotor, still).free_residual

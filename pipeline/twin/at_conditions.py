@@ -69,15 +69,6 @@ def say_beyond(measured: Mapping[str, np.ndarray], wanted: Mapping[str, float], 
     return sentences
 
 
-def table_between(table: BearingTable, speeds: np.ndarray) -> BearingTable:
-    """A table that has each speed once, with its conditions, at ``speeds`` (S,) rad/s within its own, by splines."""
-    if np.array_equal(table.speeds, speeds):
-        return table
-    values = np.apply_along_axis(lambda column: interpolate(table.speeds, column, speeds), 1, table.values)
-    operating = {name: np.full(len(speeds), column[0]) for name, column in table.operating.items()}
-    return BearingTable(table.nodes, speeds, values, operating)
-
-
 def table_at(table: BearingTable, wanted: Mapping[str, float], key: str) -> BearingTable:
     """A table over the points of the data at ``wanted`` conditions, at each speed of the data once, ascending.
 
@@ -106,15 +97,21 @@ def evaluate_at(
     wanted: Mapping[str, float],
     key: str,
     speeds: np.ndarray | None = None,
+    far: float = 1e3,
 ) -> tuple[Measurement, BearingTable]:
     """The measurement ``updated`` to the fit with the known coefficients at ``wanted`` conditions, at each speed once,
     or at ``speeds`` (S,) rad/s within these (the readings stay), and all coefficients there.
 
     Raises ConfigError as :func:`table_at`, and where a coefficient leaves all bounds: functions that were fitted at
-    a few states may do anything between and beyond these.
+    a few states may do anything between and beyond these. Nothing is a continuation of a coefficient of the data that
+    is ``far`` times as large, or as small.
     """
     known = table_at(updated.known, wanted, key)
-    machine = replace(updated, known=known if speeds is None else table_between(known, speeds))
+    if speeds is not None and not np.array_equal(known.speeds, speeds):  # between the data's, by splines
+        values = np.apply_along_axis(lambda column: interpolate(known.speeds, column, speeds), 1, known.values)
+        beside = {name: np.full(len(speeds), column[0]) for name, column in known.operating.items()}
+        known = BearingTable(known.nodes, speeds, values, beside)
+    machine = replace(updated, known=known)
     table = identified.table(machine.updated_known)
     if not table.bounded.all():
         raise ConfigError(
@@ -122,21 +119,15 @@ def evaluate_at(
             f"{write_range(table.speeds[~table.bounded])} they leave all bounds: speeds were held out there, and "
             "nothing holds the fitted functions; train without training.holdout_range to predict"
         )
-    if wanted:
-        _require_bounded(identified.table(updated.updated_known), table, key, name_state(wanted))
-    return machine, table
-
-
-def _require_bounded(data: BearingTable, table: BearingTable, key: str, state: str, far: float = 1e3) -> None:
-    """Nothing is a continuation of a coefficient of the data that is ``far`` times as large, or as small."""
-    for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)):
+    data = identified.table(updated.updated_known)
+    for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)) if wanted else ():
         name, sizes, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
         lost = is_direct(name) and bool((sizes < size.min() / far).any())
-        if np.isfinite(sizes).all() and sizes.max() <= far * size.max() and not lost:
-            continue
-        raise ConfigError(
-            f"{key} must be conditions that the fitted functions can be continued to, but at {state} {name} of node "
-            f"{data.nodes[b]} leaves all bounds ({sizes.min():.2g} to {sizes.max():.2g} {unit(name)}; at the data "
-            f"{size.min():.2g} to {size.max():.2g}): take a measured state, measure there, or fit model=law or "
-            "model=hybrid, which physics continues"
-        )
+        if lost or not (np.isfinite(sizes).all() and sizes.max() <= far * size.max()):
+            raise ConfigError(
+                f"{key} must be conditions that the fitted functions can be continued to, but at {name_state(wanted)} "
+                f"{name} of node {data.nodes[b]} leaves all bounds ({sizes.min():.2g} to {sizes.max():.2g} "
+                f"{unit(name)}; at the data {size.min():.2g} to {size.max():.2g}): take a measured state, measure "
+                "there, or fit model=law or model=hybrid, which physics continues"
+            )
+    return machine, table

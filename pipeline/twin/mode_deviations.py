@@ -62,8 +62,9 @@ class ModeDeviations:
         share = (critical.speed - modes.speeds[s]) / step
         lines = (modes.frequency, modes.logarithmic_decrement)
         slope = [float(line[s + 1, k] - line[s, k]) / step for line in lines]
-        ends = [self._derive(at, k) for at in (s, s + 1)]
-        slopes = [(1.0 - share) * left + share * right for left, right in zip(*ends, strict=True)]
+        by_value = self.by_number[[s, s + 1], k]  # (2, Z)
+        by_decrement = _derive_decrement(by_value, *(line[[s, s + 1], k, None] for line in lines))
+        slopes = [(1.0 - share) * ends[0] + share * ends[1] for ends in (by_value.imag, by_decrement)]
         # The crossing runs along its line until frequency and speed are equal again.
         speed = slopes[0] / (1.0 - slope[0])
         first, second = deviate(np.stack([speed, slopes[1] + slope[1] * speed]), self.covariance)
@@ -102,11 +103,6 @@ class ModeDeviations:
     def growth(self) -> np.ndarray:
         """(S,) standard deviation of the largest real part at each speed, 1/s."""
         return deviate(self.by_growth, self.covariance)
-
-    def _derive(self, s: int, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """(Z,) derivatives of a mode's frequency (rad/s) and of its logarithmic decrement."""
-        modes, moved = self.modes, self.by_number[s, k]
-        return moved.imag, _derive_decrement(moved, modes.frequency[s, k], modes.logarithmic_decrement[s, k])
 
 
 def deviate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, translation_dof
+from pipeline.rotor.model import translation_dof
 from pipeline.rotor.stored import load_modelled_bearings, require_nodes
 from pipeline.twin.at_conditions import evaluate_at, mask_state, pick_middle, require_conditions, table_at
 from pipeline.twin.mode_deviations import Behaviour, deviate_modes
@@ -69,7 +69,14 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     vibration: dict[str, PredictedVibration] = {}
     behaviour: dict[str, Behaviour] = {}
     if truth is not None:
-        rotor, truth, acting, place = _build(machine, stated.rotor, truth, unseen)
+        rotor, acting, place = stated.rotor, unseen, node
+        if built := machine.as_built:  # which has nodes of its own
+            rotor, truth, acting = (
+                build_rotor(machine.rotor, built),
+                stand_on_pedestals(truth, built),
+                refine_nodes(unseen, built),
+            )
+            place = built.refinement * node
         systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place)
         behaviour["modelled"] = Behaviour(find_modes(rotor, truth))
     systems["identified"] = identified
@@ -82,17 +89,6 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         deviations = deviate_modes(modes, points, identified, *given)
     behaviour["identified"] = Behaviour(modes, deviations)
     return Twin(systems, vibration, behaviour, at, operating)
-
-
-def _build(
-    machine: MachineConfig, rotor: RotorModel, truth: BearingTable, unseen: tuple[Excitation, ...]
-) -> tuple[RotorModel, BearingTable, tuple[Excitation, ...], int]:
-    """The modelled machine as it was built, which has nodes of its own: rotor, bearings, unbalance, node."""
-    built, node = machine.as_built, machine.prediction.node
-    if built is None:
-        return rotor, truth, unseen, node
-    acting = refine_nodes(unseen, built)
-    return build_rotor(machine.rotor, built), stand_on_pedestals(truth, built), acting, built.refinement * node
 
 
 def choose_operating(machine: MachineConfig, measured: Mapping[str, np.ndarray]) -> dict[str, float]:
