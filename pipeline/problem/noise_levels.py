@@ -118,7 +118,7 @@ def levels_of(
     record = spread_blocks(record_covariance)
     scale, alike = left / len(residual), np.ptp(weights) == 0.0
     k = 1.0 if alike else consistency(residual.shape[1], round(left, 6))  # of Gaussian data
-    total = np.asarray((residual.T * weights) @ residual.conj()) / (len(residual) * k * scale)
+    total = np.asarray((residual.T * weights) @ residual.conj()) / len(residual) / k / scale
     freedom = left * weights.sum() ** 2 / (weights**2).sum() / len(weights)
     total = shrink(total, freedom)
     level = total - record * np.mean(1 / counts)

@@ -26,8 +26,7 @@ VALUES = dict(zip(COEFFICIENTS, (1e8, 1e6, -1e6, 1e8, 1e5, 1e3, -1e3, 1e5), stri
 CERTAIN = {name: 0.01 * abs(value) for name, value in VALUES.items()}
 
 
-def growing(largest: float, deviation: float, unstable_from: float | None = None) -> dict[str, float | None]:
-    return {"largest_growth": largest, "largest_growth_std": deviation, "unstable_from_rpm": unstable_from}
+GROWTH = ("largest_growth", "largest_growth_std", "unstable_from_rpm")
 
 
 def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evidence:
@@ -45,7 +44,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "predicted": {"a": 1.0, "b": 1.0},
         "superposed": {"a": 1.0, "b": 1.0},
         "priors": {},
-        "growth": growing(-1.0, 0.1),
+        "growth": dict(zip(GROWTH, (-1.0, 0.1, None), strict=True)),
         "outcome": "converged",
     }
     return Evidence(**(given | changed))
@@ -100,8 +99,8 @@ def test_a_cross_term_of_zero_has_a_verdict() -> None:
 
 
 def test_a_growth_within_its_deviation_turns_nothing() -> None:
-    assert record(gathered(growth=growing(0.35, 1.7)))["machine"]["verdict"] == "good"
-    judged = record(gathered(growth=growing(9.0, 1.0, 2100.0)))
+    assert record(gathered(growth=dict(zip(GROWTH, (0.35, 1.7, None), strict=True))))["machine"]["verdict"] == "good"
+    judged = record(gathered(growth=dict(zip(GROWTH, (9.0, 1.0, 2100.0), strict=True))))
     assert judged["machine"]["verdict"] == "with care"
     assert "9 +- 1 1/s" in judged["machine"]["reason"]
 
@@ -144,7 +143,7 @@ def test_a_single_mistake_is_doubted_where_no_sum_of_runs_objects(superposed: di
     reason = record(gathered(superposed=superposed), [single])["machine"]["reason"]
     assert "3 times better if this is so: the weight of run 'a'" in reason
     assert ("the model may be at fault" in reason) is doubted
-    every = Mistake("all readings are 2 times too small", "the conventions", nothing, falls_by=9.0)
+    every = Mistake("all readings are 2 times too small", "the conventions", **tried)
     assert "may be at fault" not in record(gathered(superposed=superposed), [every])["machine"]["reason"]
 
 
