@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,9 +26,6 @@ VALUES = dict(zip(COEFFICIENTS, (1e8, 1e6, -1e6, 1e8, 1e5, 1e3, -1e3, 1e5), stri
 CERTAIN = {name: 0.01 * abs(value) for name, value in VALUES.items()}
 
 
-GROWTH = ("largest_growth", "largest_growth_std", "unstable_from_rpm")
-
-
 def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evidence:
     """One bearing at five speeds, all eight coefficients known to a percent, nothing against them."""
     values = np.tile(list(VALUES.values()), (1, 5, 1))
@@ -44,7 +41,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "predicted": {"a": 1.0, "b": 1.0},
         "superposed": {"a": 1.0, "b": 1.0},
         "priors": {},
-        "growth": dict(zip(GROWTH, (-1.0, 0.1, None), strict=True)),
+        "growth": {"largest_growth": -1.0, "largest_growth_std": 0.1, "unstable_from_rpm": None},
         "outcome": "converged",
     }
     return Evidence(**(given | changed))
@@ -99,8 +96,13 @@ def test_a_cross_term_of_zero_has_a_verdict() -> None:
 
 
 def test_a_growth_within_its_deviation_turns_nothing() -> None:
-    assert record(gathered(growth=dict(zip(GROWTH, (0.35, 1.7, None), strict=True))))["machine"]["verdict"] == "good"
-    judged = record(gathered(growth=dict(zip(GROWTH, (9.0, 1.0, 2100.0), strict=True))))
+    assert (
+        record(gathered(growth={"largest_growth": 0.35, "largest_growth_std": 1.7, "unstable_from_rpm": None}))[
+            "machine"
+        ]["verdict"]
+        == "good"
+    )
+    judged = record(gathered(growth={"largest_growth": 9.0, "largest_growth_std": 1.0, "unstable_from_rpm": 2100.0}))
     assert judged["machine"]["verdict"] == "with care"
     assert "9 +- 1 1/s" in judged["machine"]["reason"]
 
@@ -131,11 +133,10 @@ def test_the_model_may_be_at_fault_where_no_sum_of_runs_objects() -> None:
 
 @pytest.mark.parametrize(("superposed", "doubted"), [({"a": 1.0}, True), ({"a": 16.0}, False), ({}, True)])
 def test_a_single_mistake_is_doubted_where_no_sum_of_runs_objects(superposed: dict[str, float], doubted: bool) -> None:
-    nothing: Any = None  # no readings: it was tried
     single = Mistake(
         "the weight of run 'a' is not as stated",
         "the weight of run 'a'",
-        nothing,
+        cast(Any, None),
         gross=False,
         single=True,
         falls_by=9.0,
@@ -143,7 +144,7 @@ def test_a_single_mistake_is_doubted_where_no_sum_of_runs_objects(superposed: di
     reason = record(gathered(superposed=superposed), [single])["machine"]["reason"]
     assert "3 times better if this is so: the weight of run 'a'" in reason
     assert ("the model may be at fault" in reason) is doubted
-    every = Mistake("all readings are 2 times too small", "the conventions", **tried)
+    every = Mistake("all readings are 2 times too small", "the conventions", cast(Any, None), falls_by=9.0)
     assert "may be at fault" not in record(gathered(superposed=superposed), [every])["machine"]["reason"]
 
 
