@@ -82,7 +82,15 @@ def choose_weights(
     ``acting`` (M, N) complex with M >= N, ``there`` (M,) complex; all planes have masses of a list, or all have any.
     Raises ConfigError where there are too many choices, or two planes act alike.
     """
-    wanted, triangle = _reduce(acting, read)
+    # The cost is |triangle (c - wanted)|^2 and a constant, with the unbalance (N,) that would leave least.
+    q, triangle = np.linalg.qr(acting)
+    size = np.abs(np.diag(triangle))
+    if size.min() <= 1e-9 * size.max():
+        raise ConfigError(
+            "machine.balance.planes must act differently on the vibration, but two of them act alike at these probes "
+            "and speeds: leave one of them out, or balance at more speeds (balance.speeds_rpm)"
+        )
+    wanted = np.linalg.solve(triangle, -q.conj().T @ read)
     if planes[0].masses is not None:
         choices = [_list_choices(plane) for plane in planes]
         chosen = [choice.weights(k) for choice, k in zip(choices, _search(triangle, wanted, choices), strict=True)]
@@ -109,19 +117,6 @@ def split_vector(unbalance: complex, holes: Holes, same: float = 1e-9) -> tuple[
     masses = np.linalg.solve(matrix, [unbalance.real, unbalance.imag])
     weights = (Weight(hole + 1, float(mass)) for hole, mass in zip(pair, masses, strict=True))
     return tuple(weight for weight in weights if weight.mass > same * masses.max())
-
-
-def _reduce(acting: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) the unbalance that would leave least, and (N, N) a triangle: the cost is ``|triangle (c - wanted)|^2`` and a
-    constant."""
-    q, triangle = np.linalg.qr(acting)
-    size = np.abs(np.diag(triangle))
-    if size.min() <= 1e-9 * size.max():
-        raise ConfigError(
-            "machine.balance.planes must act differently on the vibration, but two of them act alike at these probes "
-            "and speeds: leave one of them out, or balance at more speeds (balance.speeds_rpm)"
-        )
-    return np.linalg.solve(triangle, -q.conj().T @ read), triangle
 
 
 # --- masses of a list --------------------------------------------------------------------------------

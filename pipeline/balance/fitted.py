@@ -7,7 +7,13 @@ which have the greatest marginal likelihood of the training conditions (empirica
 nothing against the physical model, lambda is zero and the blend is that model; with many conditions and large lambda it
 goes over into influence coefficients.
 
-Legend: C conditions, N planes, Q = 1 + N, D = S P.
+Conditions that contradict their labels are found from the vibration alone at a stated rate of false alarms. The squared
+distance T^2 of each condition from the model of the others is held against a scaled F distribution whose tail the
+others show (Hotelling's for Gaussian conditions). The farthest is left out and the rest is fitted again, so that one
+gross case does not mask others: what was left out up to the last significant step is named (Rosner 1983). A chance is
+that of the farthest of all conditions (Bonferroni).
+
+Legend: C conditions, N planes, Q = 1 + N, D = S P (speeds times channels).
 """
 
 from __future__ import annotations
@@ -19,13 +25,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.balance.consistency import find_contradictions
-from pipeline.balance.influence import Influence, design_of, fit_influence
+from pipeline.balance.influence import Influence, design_of, distances, fit_influence
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical
 from pipeline.data.conditions import Conditions
 from pipeline.errors import ConfigError, IdentifiabilityError, nearest
-from pipeline.problem.noise_levels import NoiseLevels
+from pipeline.problem.noise_levels import NoiseLevels, fit_tail
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +84,7 @@ def blend(
     white = np.linalg.solve(np.linalg.cholesky(typical), rest.T).T  # (C, D)
     tried = np.concatenate([[0.0], np.logspace(-decades, decades, 6 * decades + 1)])
     sizes = max(itertools.product(tried, tried), key=lambda pair: _evidence(scaled, white, pair))
-    prior = _columns(sizes, design.shape[1])
+    prior = np.repeat(sizes, (1, design.shape[1] - 1))
     inner = np.eye(len(prior)) + np.diag(prior) @ scaled.conj().T @ scaled
     spread = np.linalg.solve(inner, np.diag(prior).astype(complex))
     coefficients = spread @ scaled.conj().T @ rest / scale[:, None]
@@ -106,17 +111,49 @@ def blend(
     )
 
 
-def _columns(sizes: tuple[float, float], count: int) -> np.ndarray:
-    """(Q,) lambda of each column."""
-    return np.array([sizes[0], *[sizes[1]] * (count - 1)])
-
-
 def _evidence(scaled: np.ndarray, white: np.ndarray, sizes: tuple[float, float]) -> float:
     """Logarithm of the marginal likelihood of whitened rests (C, D), without what does not depend on the sizes."""
-    covariance = np.eye(len(scaled)) + (scaled * _columns(sizes, scaled.shape[1])) @ scaled.conj().T
+    covariance = np.eye(len(scaled)) + (scaled * np.repeat(sizes, (1, scaled.shape[1] - 1))) @ scaled.conj().T
     _, logarithm = np.linalg.slogdet(covariance)
     square = float((white.conj() * np.linalg.solve(covariance, white)).sum().real)
     return -square - white.shape[1] * float(logarithm)
+
+
+def find_contradictions(
+    conditions: Conditions, rate: float = 0.01, law: bool | None = None, most: float = 0.2
+) -> tuple[dict[str, float], Influence]:
+    """The conditions that contradict their labels, gross ones first, and the model of the others.
+
+    With each name comes the chance that consistent conditions have one as far off, in all of them together. ``rate`` is
+    the chance to name any where none contradicts, ``most`` the share that may be named: a model can't say which half is
+    right. Raises IdentifiabilityError where the conditions are too few to judge one by the others.
+    """
+    from scipy import stats
+
+    size, n = conditions.vectors.shape[1], len(conditions.names)
+    columns = 1 + len(conditions.planes)
+    if n - columns - 1 < size + 2:
+        raise IdentifiabilityError(
+            f"a condition can be judged by more than {size + columns + 2} others (the entries of a vector, and the "
+            f"columns of the model), but there are {n}: measure more conditions, or use fewer probes or speeds"
+        )
+    left, named = list(range(n)), 0
+    removed: list[int] = []
+    chances: list[float] = []
+    growth = fit_influence(conditions, law=law).growth  # robust: gross conditions are not taken for growth
+    squared = distances(conditions, fit_influence(conditions, law=law, robust=False, growth=growth))
+    while len(removed) < int(most * n) and len(left) - columns - 2 >= size + 2:
+        far, among = int(np.argmax(squared)), len(left)
+        gross = float(squared[far])
+        removed.append(left.pop(far))
+        others = conditions.of(left)
+        squared = distances(others, fit_influence(others, law=law, robust=False, growth=growth))
+        tail, stretch = fit_tail(squared, size, float(len(left) - columns - 1), max(gross, float(squared.max())))
+        chances.append(float(min(1.0, among * stats.f.sf(gross / (stretch * size), 2 * size, 2 * tail))))
+        if chances[-1] < rate:
+            named = len(removed)
+    contradictions = {conditions.names[c]: min(chances[k:named]) for k, c in enumerate(removed[:named])}
+    return contradictions, fit_influence(conditions.without(contradictions), law=law)
 
 
 @dataclass(frozen=True, eq=False)

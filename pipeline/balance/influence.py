@@ -116,7 +116,12 @@ def fit_influence(
     if growth:
         fitted = replace(_fit(conditions, 0.0, robust, growth), growth_chance=chosen.growth_chance)
         chosen = _choose(conditions, fitted, robust, law, evidence)
-    return replace(chosen, noise=_with_tail(conditions, chosen))
+    size, noise = len(chosen.noise.condition), chosen.noise
+    if noise.freedom < FULL * size:
+        return chosen
+    # The tail that the left-out conditions show, of which there are enough.
+    tail, stretch = fit_tail(distances(conditions, chosen), size, noise.freedom)
+    return replace(chosen, noise=replace(noise, tail=tail, stretch=stretch))
 
 
 def require_apart(conditions: Conditions) -> None:
@@ -146,15 +151,6 @@ def distances(conditions: Conditions, model: Influence) -> np.ndarray:
     left = float(len(design) - design.shape[1])
     residual = (conditions.vectors - design @ model.coefficients) / np.sqrt(inflated)[:, None]
     return leave_one_out(residual, leverage, model.weights * inflated, left)
-
-
-def _with_tail(conditions: Conditions, model: Influence) -> NoiseLevels:
-    """The levels with the tail that the left-out conditions show, where there are enough of them."""
-    size = len(model.noise.condition)
-    if model.noise.freedom < FULL * size:
-        return model.noise
-    tail, stretch = fit_tail(distances(conditions, model), size, model.noise.freedom)
-    return replace(model.noise, tail=tail, stretch=stretch)
 
 
 def _choose(conditions: Conditions, fitted: Influence, robust: bool, law: bool | None, evidence: float) -> Influence:

@@ -5,7 +5,6 @@ Legend: n records, C conditions, S speeds, P channels, N planes, D = S P (index 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +40,14 @@ def average_records(records: Records, vibration: LinearVibration) -> Conditions:
     np.add.at(total, (conditions, at), np.where(present, read, 0.0))
     np.add.at(counts, (conditions, at), present)
     mean = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
+    planes = [records.planes.index(node) for node in vibration.planes]
+    known = np.full((len(names), len(planes)), np.nan, dtype=complex)  # NaN where its records do not say it
+    for c, name in enumerate(names):
+        given = records.unbalance[conditions == c][:, planes]
+        given = given[~np.isnan(given).any(axis=1)]
+        if len(given) and not np.allclose(given, given[0], rtol=1e-6, atol=1e-12):
+            raise DataError(f"{records.source} must have one set of weights a condition, but '{name}' has several")
+        known[c] = given[0] if len(given) else np.nan
     return Conditions(
         names=names,
         speeds=vibration.speeds,
@@ -49,7 +56,7 @@ def average_records(records: Records, vibration: LinearVibration) -> Conditions:
         counts=np.where(counts > 0, counts, counts.max()).min(axis=(1, 2)),
         channels=vibration.channels,
         planes=vibration.planes,
-        unbalance=_gather_known(records, names, conditions, vibration.planes),
+        unbalance=known,
         record_covariance=np.zeros((*shape[1:], shape[2]), dtype=complex),
     )
 
@@ -69,20 +76,6 @@ def match_speeds(speeds: np.ndarray, nominal: np.ndarray, source: str) -> np.nda
             "physical model"
         )
     return at
-
-
-def _gather_known(records: Records, names: Sequence[str], conditions: np.ndarray, planes: Sequence[int]) -> np.ndarray:
-    """(C, N) kg m, NaN where a condition's records do not say it."""
-    columns = [records.planes.index(node) for node in planes]
-    known = np.full((len(names), len(planes)), np.nan, dtype=complex)
-    for c, name in enumerate(names):
-        given = records.unbalance[conditions == c][:, columns]
-        given = given[~np.isnan(given).any(axis=1)]
-        if len(given) and not np.allclose(given, given[0], rtol=1e-6, atol=1e-12):
-            raise DataError(f"{records.source} must have one set of weights a condition, but '{name}' has several")
-        if len(given):
-            known[c] = given[0]
-    return known
 
 
 # --- another day -------------------------------------------------------------------------------------

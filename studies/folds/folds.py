@@ -23,7 +23,7 @@ from physical_peers import physical_peers
 from scores import floor_of_drift
 from splits import list_splits
 
-from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.fitted import find_contradictions
 from pipeline.balance.influence import Influence, design_of, judges
 from pipeline.config.compose import compose_config
 from pipeline.config.quantities import UnbalanceMagnitude

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.fitted import find_contradictions
 from pipeline.balance.influence import (
     Influence,
     design_of,

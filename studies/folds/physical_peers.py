@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 from peers import Peer
 
-from pipeline.balance.consistency import find_contradictions
-from pipeline.balance.fitted import Blend, blend_with_influence
+from pipeline.balance.fitted import Blend, blend_with_influence, find_contradictions
 from pipeline.balance.physical import Physical, read_levels
 from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError, IdentifiabilityError

@@ -7,7 +7,7 @@ import pytest
 from balancing import GRAM, PLANES, truth
 from contradictions import explain
 
-from pipeline.balance.consistency import find_contradictions
+from pipeline.balance.fitted import find_contradictions
 from pipeline.errors import IdentifiabilityError
 
 

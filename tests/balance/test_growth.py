@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from balancing import GRAM, Truth, truth
 
-from pipeline.balance.consistency import find_contradictions
-from pipeline.balance.fitted import blend
+from pipeline.balance.fitted import blend, find_contradictions
 from pipeline.balance.influence import design_of, fit_growth, fit_influence, inflation
 from pipeline.balance.unbalance import estimate_unbalance
 from pipeline.data.conditions import Conditions
