@@ -181,7 +181,7 @@ class MachineConfig(Section):
         elements = sum(section.elements for section in self.rotor.shaft)
         if built.shaft and (count := sum(section.elements for section in built.shaft)) != elements:
             yield f"as_built.shaft must have the {elements} elements of the model's shaft, but got {count}"
-        alone = "method=time" if built.in_time else "pedestal_stiffness" if built.pedestal_stiffness else ""
+        alone = "method=time" if built.method == "time" else "pedestal_stiffness" if built.pedestal_stiffness else ""
         if alone and any(run.frequency_hz or run.frequency_ratio for run in self.runs):
             yield f"as_built.{alone} needs runs that turn with the rotor, but one does not"
 

@@ -56,11 +56,6 @@ class AsBuiltConfig(Section):
     probe_angle: PositiveAngle | None = None
 
     @property
-    def in_time(self) -> bool:
-        """Whether the vibration is integrated."""
-        return self.method == "time"
-
-    @property
     def beam(self) -> dict[str, Any]:
         """What takes the place of the same keys of the rotor."""
         given = {name: getattr(self, name) for name in ("shaft", "shear_effects", "rotary_inertia")}
@@ -128,7 +123,7 @@ def simulate_as_built(
             magnitude = weight.magnitude * (1 + built.unbalance_magnitude * size)
             acting[i] = replace(weight, magnitude=magnitude, phase=weight.phase + angle * turn)
     felt = stand_on_pedestals(bearings, built)
-    if built.in_time:
+    if built.method == "time":
         simulated = integrate(rotor, felt, tuple(acting))
     else:
         simulated = simulate(rotor, felt, tuple(acting), own_frequencies)

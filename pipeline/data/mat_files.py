@@ -21,17 +21,14 @@ from pipeline.processes import ask_aside
 _COLUMN = re.compile(r"(.+?)\(:, ?(\d+)\)")
 
 
-def require_file(path: Path) -> None:
-    """Raise DataError where there is no such file, with the nearest of those beside it."""
+@contextmanager
+def open_measured(path: Path, kind: str, next_step: str = "copy it again") -> Iterator[None]:
+    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``, and where
+    there is no such file, with the nearest of those beside it.
+    """
     if not path.is_file():
         what = "it is a folder" if path.is_dir() else "there is no such file"
         raise DataError(f"'{path}' must exist, but {what}{name_beside(path)}")
-
-
-@contextmanager
-def open_measured(path: Path, kind: str, next_step: str = "copy it again") -> Iterator[None]:
-    """Raise a DataError for whatever a library raises in the block while it reads a file of the ``kind``."""
-    require_file(path)
     try:
         yield
     except (DataError, ImportError):

@@ -42,7 +42,11 @@ def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> lis
     conditions = conditions.ravel()
     repeated = any(len(np.unique(speeds[conditions == i])) < (conditions == i).sum() for i in range(len(unique)))
     if repeated or np.bincount(conditions).min() < 2:
-        conditions = _rank_conditions(speeds, values)
+        # How many points of the same speed have lower conditions than this one.
+        order = np.lexsort((*values.T[::-1], speeds))
+        starts = np.r_[True, np.diff(speeds[order]) > 0]
+        first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+        conditions[order] = np.arange(len(order)) - first
     states = []
     for i in range(conditions.max() + 1):
         points = np.flatnonzero(conditions == i)
@@ -61,16 +65,6 @@ def find_nearest(
         span = float(np.ptp(values)) or 1.0
         away += [abs(float(np.mean(values[points])) - wanted[name]) / span for _, points in states]
     return states[int(np.argmin(away))]
-
-
-def _rank_conditions(speeds: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(S,) how many points of the same speed have lower conditions than this one."""
-    order = np.lexsort((*values.T[::-1], speeds))
-    starts = np.r_[True, np.diff(speeds[order]) > 0]
-    first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order)) - first
-    return rank
 
 
 def name_state(operating: Mapping[str, np.ndarray | float]) -> str:

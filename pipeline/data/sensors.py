@@ -81,16 +81,12 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     if sensors.runout:
         runout = sensors.runout * np.exp(1j * generator.uniform(0, 2 * np.pi, len(seen.channels)))
     readings = _quantise(seen.displacement + runout[:, None] * turns, sensors.quantisation)
-    if sensors.slow_roll_readings:
-        readings = readings - _read_slow_roll(sensors, runout, generator)[:, None] * turns
+    if sensors.slow_roll_readings:  # without weights or shaker, so slowly that nothing vibrates: their mean
+        parts = generator.standard_normal((2, sensors.slow_roll_readings, len(runout))) / np.sqrt(2.0)
+        deviation = NoiseModel(sensors.additive, sensors.multiplicative).deviation(runout)
+        slow = _quantise(runout + deviation * (parts[0] + 1j * parts[1]), sensors.quantisation).mean(axis=0)
+        readings = readings - slow[:, None] * turns
     return replace(seen, displacement=readings)
-
-
-def _read_slow_roll(sensors: Sensors, runout: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """(P,) the runout as readings without weights or shaker show it, so slowly that nothing vibrates: their mean."""
-    parts = generator.standard_normal((2, sensors.slow_roll_readings, len(runout))) / np.sqrt(2.0)
-    deviation = NoiseModel(sensors.additive, sensors.multiplicative).deviation(runout)
-    return np.asarray(_quantise(runout + deviation * (parts[0] + 1j * parts[1]), sensors.quantisation).mean(axis=0))
 
 
 def _quantise(readings: np.ndarray, step: float) -> np.ndarray:

@@ -5,6 +5,7 @@ Each state of a machine with operating conditions is an answer of its own. Legen
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -154,27 +155,21 @@ class Document(BaseModel, extra="forbid"):
 
 def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
     """The same as JSON."""
-    stiffness, damping = NAMES[states[0].units]
-    return Document(
-        experiment=states[0].name,
-        stiffness_unit=stiffness,
-        damping_unit=damping,
-        conventions=list(CONVENTIONS),
-        bearings=[bearing for state in states for bearing in _list_bearings(state)],
-        physical_numbers=list(numbers),
-    )
-
-
-def _list_bearings(exported: Exported) -> list[Bearing]:
-    bearings = []
-    beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
-    operating = {name: float(levels[0]) for name, levels in beside.items()}
-    for b, node in enumerate(exported.table.nodes):
-        coefficients = {}
+    (stiffness, damping), bearings = NAMES[states[0].units], []
+    for exported, (b, node) in itertools.product(states, enumerate(states[0].table.nodes)):
+        beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
+        operating, coefficients = {name: float(levels[0]) for name, levels in beside.items()}, {}
         for c, name in enumerate(COEFFICIENTS):
             known = bool(exported.identified[b, c])
             value, *std = (table[b, :, c].tolist() for table in exported.tables.values())
             coefficients[name] = Coefficient(identified=known, value=value, std=std[0] if known and std else None)
         rpm = exported.rpm.tolist()
         bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=coefficients))
-    return bearings
+    return Document(
+        experiment=states[0].name,
+        stiffness_unit=stiffness,
+        damping_unit=damping,
+        conventions=list(CONVENTIONS),
+        bearings=bearings,
+        physical_numbers=list(numbers),
+    )

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from pipeline.export.coefficients import BRIEF, NAMES, Document, Exported, Numbe
 from pipeline.files import write_json, write_text
 from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
-from pipeline.rotor.bearing_table import BearingTable
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
 from pipeline.twin.twin import list_unseen
@@ -77,30 +75,40 @@ def write_apdl(exported: Exported, b: int) -> str:
     for c, name in enumerate(COEFFICIENTS):
         parameter, values = f"{_ANSYS_NAMES[name]}_{node}", exported.values[b, :, c]
         constants[_ANSYS_NAMES[name]] = f"%{parameter}%" if several else f"{values[0]:.9E}"
-        lines += _write_table(parameter, exported.table.speeds, values) if several else ()
+        if several:
+            lines.append(f"*DIM,{parameter},TABLE,{len(values)},1,1,OMEGS")
+            for i, (speed, value) in enumerate(zip(exported.table.speeds, values, strict=True), start=1):
+                lines += [f"{parameter}({i},0)={speed:.9E}", f"{parameter}({i},1)={value:.9E}"]
     for command, names in zip((f"R,{node + 1}", "RMORE"), _COMBI214, strict=True):
         lines.append(",".join([command, *(constants[name] for name in names)]))
     return "\n".join(lines) + "\n"
 
 
-def _write_table(parameter: str, speeds: np.ndarray, values: np.ndarray) -> Iterator[str]:
-    yield f"*DIM,{parameter},TABLE,{len(speeds)},1,1,OMEGS"
-    for i, (speed, value) in enumerate(zip(speeds, values, strict=True), start=1):
-        yield f"{parameter}({i},0)={speed:.9E}"
-        yield f"{parameter}({i},1)={value:.9E}"
-
-
-def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()) -> None:
+def write_workbook(
+    path: Path, *states: Exported, numbers: Sequence[Number] = (), above: int = 5, longest: int = 31
+) -> None:
     """A worksheet a bearing and state as XLTRC2 has it, which ROSS's ``BearingElement.from_table`` reads.
 
-    Deviations, physical numbers and conventions are on sheets of their own.
+    Deviations, physical numbers and conditions are on sheets of their own. A name has at most ``longest`` letters;
+    XLTRC2 has so many rows ``above`` the header.
     """
     from openpyxl import Workbook
 
     book = Workbook()
     book.remove(book.active)
-    for i, exported in enumerate(states, start=1):
-        _add_sheets(book, exported, i)
+    for (i, exported), (b, node) in itertools.product(enumerate(states, start=1), enumerate(states[0].table.nodes)):
+        title = f"node {node}" + (f", {exported.state}" if exported.operating else "")
+        if len(title) > longest - len(" deviations"):
+            title = f"node {node}, state {i}"
+        for beside, table in exported.tables.items():
+            sheet = book.create_sheet(f"{title} deviations" if beside else title)
+            sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
+            for _ in range(above - 1):
+                sheet.append([None])
+            sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
+            sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])
+            for rpm, row in zip(exported.rpm, table[b], strict=True):
+                sheet.append([float(rpm), *(None if np.isnan(value) else float(value) for value in row)])
     if numbers:
         sheet = book.create_sheet("physical numbers")
         sheet.append(["number", "value", "standard deviation", "unit"])
@@ -112,23 +120,6 @@ def write_workbook(path: Path, *states: Exported, numbers: Sequence[Number] = ()
     for cell in (cell for sheet in book for row in sheet.iter_rows() for cell in row):
         cell.data_type = "s" if cell.data_type == "f" else cell.data_type  # a name that begins with "=" is no formula
     book.save(path)
-
-
-def _add_sheets(book: Any, exported: Exported, number: int, above: int = 5, longest: int = 31) -> None:
-    """A name has at most ``longest`` letters; XLTRC2 has so many rows ``above`` the header."""
-    for b, node in enumerate(exported.table.nodes):
-        name = f"node {node}" + (f", {exported.state}" if exported.operating else "")
-        if len(name) > longest - len(" deviations"):
-            name = f"node {node}, state {number}"
-        for beside, table in exported.tables.items():
-            sheet = book.create_sheet(f"{name} deviations" if beside else name)
-            sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
-            for _ in range(above - 1):
-                sheet.append([None])
-            sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
-            sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])
-            for rpm, row in zip(exported.rpm, table[b], strict=True):
-                sheet.append([float(rpm), *(None if np.isnan(value) else float(value) for value in row)])
 
 
 def list_states(config: Config, dataset: VibrationDataset) -> list[dict[str, float]]:
@@ -199,14 +190,16 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
     """The rotor and each bearing, a file a state, and their deviations; how far ROSS's smoothing moves the response."""
     from pipeline.rotor.ross_export import export_rotor, make_bearings, read_table
 
-    rotor, off = config.machine.rotor, []
+    rotor, asked, off = config.machine.rotor, (list_unseen(config.machine), config.machine.prediction.node), []
     for exported in states:
         made = export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")
         elements = make_bearings(exported.table, {})
         for element in elements:
             element.save(folder / f"bearing_node_{element.n}{exported.suffix}.toml")
-        off.append(_compare(config, updated, exported.table, read_table(elements, exported.table.speeds)))
+        smoothed = read_table(elements, exported.table.speeds)
+        ours, theirs = (predict(updated.updated_rotor, table, *asked) for table in (exported.table, smoothed))
+        off.append(float(np.max(theirs.error_percent(ours))))
     if states[0].deviation is not None:
         columns = tabulate(*(replace(state, units="si") for state in states))
         write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k not in COEFFICIENTS})
@@ -220,10 +213,3 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
         f"{files} {'is' if len(states) == 1 else 'are'} for ross.Rotor.load; ROSS smooths tables over the speed, which "
         f"moves the response to the prediction's unbalance by at most {max(off):.1g} %{beside}"
     )
-
-
-def _compare(config: Config, updated: Measurement, table: BearingTable, smoothed: BearingTable) -> float:
-    """The largest difference of the two responses at the prediction's node, percent."""
-    unseen, node = list_unseen(config.machine), config.machine.prediction.node
-    predicted, other = (predict(updated.updated_rotor, bearings, unseen, node) for bearings in (table, smoothed))
-    return float(np.max(other.error_percent(predicted)))

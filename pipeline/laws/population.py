@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.impedance import to_coordinates
 from pipeline.laws.short_bearing import short_table
-from pipeline.laws.table import FilmTable, read_film_table
+from pipeline.laws.table import read_film_table
 
 LACKS = {
     "plain": (0.30, 0.30, 0.20, 0.12),
@@ -70,7 +70,10 @@ def draw_bearings(
     thinning = -np.abs(0.4 * generator.standard_normal((count, 1)))
     viscosity = spread(0.018, 0.8) * (speeds / np.sqrt(speeds[0] * speeds[-1])) ** thinning
     sommerfeld = viscosity * speeds / (2 * np.pi) * ratio * journal**2 / force * (journal / 2 / clearance) ** 2
-    tables, drawn = _tables(family), []
+    # Each table of a family, and whether its Sommerfeld number has the square of L / D.
+    names = {"lobed": "elliptical", "tilting_pad": "tilting_pad"}
+    tables, drawn = [(read_film_table(names.get(family, "lund_thomsen_two_axial_groove")), False)], []
+    tables = [(short_table(), True), *tables] if family == "plain" else tables
     for rows, (table, squared) in zip(np.array_split(np.arange(count), len(tables)), tables, strict=True):
         preload = torch.as_tensor(generator.uniform(table.preloads[0], table.preloads[-1], (len(rows), 1)))
         log_s = np.log((sommerfeld * ratio**2 if squared else sommerfeld)[rows])
@@ -81,13 +84,6 @@ def draw_bearings(
     turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=-1).reshape(count, 1, 1, 2, 2)
     matrices = np.concatenate(drawn).reshape(count, len(speeds), 2, 2, 2)
     return (turn @ matrices @ turn.swapaxes(-1, -2)).reshape(count, len(speeds), 8)
-
-
-def _tables(family: str) -> list[tuple[FilmTable, bool]]:
-    """Each table of a family, and whether its Sommerfeld number has the square of L / D."""
-    if family == "plain":
-        return [(short_table(), True), (read_film_table("lund_thomsen_two_axial_groove"), False)]
-    return [(read_film_table({"lobed": "elliptical", "tilting_pad": "tilting_pad"}[family]), False)]
 
 
 def make_priors(

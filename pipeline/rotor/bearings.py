@@ -29,7 +29,7 @@ from pipeline.errors import ConfigError
 from pipeline.laws.numbers import LOAD, turn_axes
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
-from pipeline.laws.table import FilmTable, make_film_table, packaged_file, read_film_table
+from pipeline.laws.table import make_film_table, packaged_file, read_film_table
 
 Operating = Mapping[str, np.ndarray]
 
@@ -201,7 +201,16 @@ class JournalTableConfig(_JournalBearing):
         Raises ConfigError for a speed whose Sommerfeld number lies outside the table, for a condition that is missing,
         for a table that is none, and for a preload that it has not.
         """
-        table, (load, viscosity) = self._read_table(), self.find_film(operating, share, len(speeds))
+        table = read_film_table(self.table) if self.table else make_film_table(self.rows or (), "rows")
+        low, high = table.preloads[[0, -1]]
+        if table.has_preload != (self.preload is not None):
+            raise ConfigError(
+                "a bearing must have a preload where its table has a column preload, and none elsewhere, but it has "
+                f"{'none' if self.preload is None else self.preload}"
+            )
+        if table.has_preload and not low <= (self.preload or 0.0) <= high:
+            raise ConfigError(f"a bearing's table has preloads {low:g} to {high:g}, but got {self.preload:g}")
+        load, viscosity = self.find_film(operating, share, len(speeds))
         per_turn = viscosity * self.length * self.journal_diameter / load
         sommerfeld = speeds / (2 * np.pi) * per_turn * (self.journal_diameter / 2 / self.radial_clearance) ** 2
         low, high = (float(np.exp(end)) for end in table.span)
@@ -214,18 +223,6 @@ class JournalTableConfig(_JournalBearing):
             )
         pure = table.tabulate(np.log(sommerfeld), self.preload or 0.0)
         return np.asarray(_scale(pure, load, self.radial_clearance, speeds) @ turn_axes(self.load_angle).T)
-
-    def _read_table(self) -> FilmTable:
-        table = read_film_table(self.table) if self.table else make_film_table(self.rows or (), "rows")
-        low, high = table.preloads[[0, -1]]
-        if table.has_preload != (self.preload is not None):
-            raise ConfigError(
-                "a bearing must have a preload where its table has a column preload, and none elsewhere, but it has "
-                f"{'none' if self.preload is None else self.preload}"
-            )
-        if table.has_preload and not low <= (self.preload or 0.0) <= high:
-            raise ConfigError(f"a bearing's table has preloads {low:g} to {high:g}, but got {self.preload:g}")
-        return table
 
 
 class SpeedTableConfig(_Bearing):

@@ -46,31 +46,24 @@ def _element(rotor: RotorModel, node: int, shift: float) -> tuple[np.ndarray, np
     if length == 0.0:  # a coupling: it shows its node as it is
         return dof, np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])
     inside = float(np.clip(place - ends[i], 0.0, length))
-    shape, turn = _shapes(inside / length, length, _shear_number(rotor, dof, length))
-    return dof, shape + (place - ends[i] - inside) * turn, turn
-
-
-def _shear_number(rotor: RotorModel, dof: np.ndarray, length: float) -> float:
-    """``12 EI / (G A_s L^2)`` of the element of the ``dof`` (8,); 0 where it is no beam."""
+    # The shear number 12 EI / (G A_s L^2); 0 where it is no beam.
     pulled, turned = -rotor.stiffness[dof[0], dof[4]], rotor.stiffness[dof[3], dof[7]]
-    return max(2.0 - 12.0 * float(turned / (pulled * length**2)), 0.0) if pulled > 0 else 0.0
-
-
-def _shapes(t: float, length: float, s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement at the share ``t`` of the element for (w, w') of both ends, (4,), and its slope."""
-    shape = [
+    s = max(2.0 - 12.0 * float(turned / (pulled * length**2)), 0.0) if pulled > 0 else 0.0
+    t = inside / length
+    displacement = [
         1 - 3 * t**2 + 2 * t**3 + s * (1 - t),
         length * (t - 2 * t**2 + t**3 + s / 2 * (t - t**2)),
         3 * t**2 - 2 * t**3 + s * t,
         length * (t**3 - t**2 - s / 2 * (t - t**2)),
     ]
-    turn = [
+    slope = [
         (-6 * t + 6 * t**2 - s) / length,
         1 - 4 * t + 3 * t**2 + s / 2 * (1 - 2 * t),
         (6 * t - 6 * t**2 + s) / length,
         3 * t**2 - 2 * t - s / 2 * (1 - 2 * t),
     ]
-    return np.array(shape) / (1 + s), np.array(turn) / (1 + s)
+    shape, turn = np.array(displacement) / (1 + s), np.array(slope) / (1 + s)
+    return dof, shape + (place - ends[i] - inside) * turn, turn
 
 
 @dataclass(frozen=True, eq=False)
