@@ -10,7 +10,7 @@ from balancing import circular
 from small_rotor import small_machine
 
 from pipeline.data.conditions import Conditions
-from pipeline.problem.condition_noise import ConditionNoise, spread_conditions, to_dataset
+from pipeline.problem.condition_noise import spread_conditions, to_dataset
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.noise_levels import NoiseLevels
@@ -85,5 +85,5 @@ def small_rig(
 
 def with_noise(rig: SmallRig) -> Measurement:
     """The rig's readings, whose levels are known."""
-    noise = ConditionNoise(levels_of_root(rig.root), rig.conditions.counts, np.ones(len(rig.conditions.names)))
+    noise = replace(levels_of_root(rig.root), counts=rig.conditions.counts, weights=np.ones(len(rig.conditions.names)))
     return replace(rig.template, dataset=to_dataset(rig.conditions), drift=noise)

@@ -121,4 +121,4 @@ def read_levels(problem: OutputError, weights: torch.Tensor) -> NoiseLevels:
     (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
     rest = (predicted - measured)[0].flatten(0, 1).T.numpy()
     assert problem.measurement.drift
-    return follow_residuals(problem.measurement.drift, rest, problem.n_fitted).levels
+    return follow_residuals(problem.measurement.drift, rest, problem.n_fitted)

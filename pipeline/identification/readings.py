@@ -85,7 +85,7 @@ class Readings:
 
     def mix(self, b: int, rows: torch.Tensor) -> torch.Tensor:
         """Rows (G, S, P, R, n) that are :meth:`whiten`-ed, without what noise in levels shares over probes and speeds
-        (:meth:`pipeline.problem.condition_noise.ConditionNoise.mixing`), or what follows from the speed before.
+        (:meth:`pipeline.problem.noise_levels.NoiseLevels.mixing`), or what follows from the speed before.
         """
         import torch
 

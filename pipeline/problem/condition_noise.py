@@ -5,7 +5,7 @@ Legend: S speeds, P channels, R runs (one a condition), D = S P (index s * P + p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,61 +18,11 @@ NAMED = 0.3
 """A condition whose weight is below this is named: of conditions that belong together, one in a thousand."""
 
 
-@dataclass(frozen=True, eq=False)
-class ConditionNoise:
-    """Levels of noise, and what they mean for each run; :data:`NO_LEVELS` where readings have noise of their own."""
-
-    levels: NoiseLevels
-    counts: np.ndarray  # (R,) records behind each run
-    weights: np.ndarray  # (R,) about 1; small for a run that does not belong to the others
-
-    def __bool__(self) -> bool:
-        """Whether the noise is in levels."""
-        return bool(len(self.counts))
-
-    def covariance(self) -> np.ndarray:
-        """(R, D, D) complex, m^2."""
-        return self.levels.covariance(self.counts)
-
-    def deviation(self) -> np.ndarray:
-        """(S, P, R) m, root mean square of each reading's noise."""
-        variance = np.diagonal(self.covariance(), axis1=1, axis2=2).real  # (R, D)
-        n_speeds, n_channels, _ = self.levels.record.shape
-        return np.asarray(np.sqrt(variance).reshape(-1, n_speeds, n_channels).transpose(1, 2, 0))
-
-    def mixing(self) -> np.ndarray:
-        """(R, D, D): it makes readings over their own deviations independent."""
-        covariance = self.covariance()
-        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
-        correlation = covariance / spread[:, :, None] / spread[:, None, :]
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))
-
-    def conjugated(self) -> ConditionNoise:
-        """That of conjugated readings."""
-        levels = self.levels
-        turned = replace(levels, record=levels.record.conj(), condition=levels.condition.conj())
-        return replace(self, levels=turned)
-
-    def select(self, speeds: np.ndarray, runs: np.ndarray | None) -> ConditionNoise:
-        """The same at the ``speeds`` (mask or index) and for the ``runs`` (indices; None for all)."""
-        if not self:
-            return self
-        n_speeds, n_channels, _ = self.levels.record.shape
-        kept = np.arange(n_speeds * n_channels).reshape(n_speeds, n_channels)[speeds].ravel()
-        levels = replace(
-            self.levels, record=self.levels.record[speeds], condition=self.levels.condition[np.ix_(kept, kept)]
-        )
-        chosen = np.arange(len(self.counts)) if runs is None else runs
-        return ConditionNoise(levels, self.counts[chosen], self.weights[chosen])
-
-
-NO_LEVELS = ConditionNoise(
-    NoiseLevels(np.zeros((0, 0, 0), dtype=complex), np.zeros((0, 0), dtype=complex), 0.0), np.zeros(0), np.zeros(0)
-)
+NO_LEVELS = NoiseLevels(np.zeros((0, 0, 0), dtype=complex), np.zeros((0, 0), dtype=complex), 0.0)
 """Noise that is not in levels: nothing ties readings together."""
 
 
-def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float, rounds: int = 50) -> ConditionNoise:
+def follow_residuals(noise: NoiseLevels, residual: np.ndarray, numbers: float, rounds: int = 50) -> NoiseLevels:
     """The noise that residuals (R, D) complex, m, of a fit of so many real ``numbers`` show.
 
     Where the fitted model can't follow the data, its misfit is part of the condition level: as large and in such
@@ -83,11 +33,11 @@ def follow_residuals(noise: ConditionNoise, residual: np.ndarray, numbers: float
     for _ in range(rounds):
         scatter = shrink((residual.T * weights) @ residual.conj() / left, left)
         weights = student_weights(residual * np.sqrt(len(residual) / left), scatter)
-    levels = levels_of(residual, weights, left, noise.levels.record, noise.counts)
-    return ConditionNoise(levels, noise.counts, weights)
+    levels = levels_of(residual, weights, left, noise.record, noise.counts)
+    return replace(levels, counts=noise.counts, weights=weights)
 
 
-def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) -> ConditionNoise:
+def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) -> NoiseLevels:
     """The levels that the data themselves show, whatever the rotor is.
 
     Each probe's vector is taken for a free baseline and a free linear function of the weights U and of U |U|: what is
@@ -102,7 +52,7 @@ def condition_noise(conditions: Conditions, beside: NoiseModel | None = None) ->
         # An error of the model is the same in all conditions: many of them do not average it.
         variance = len(loads) * (beside.deviation(conditions.vectors) ** 2).mean(axis=0)
         levels = replace(levels, condition=levels.condition + np.diag(variance))
-    return ConditionNoise(levels, conditions.counts, weights)
+    return replace(levels, counts=conditions.counts, weights=weights)
 
 
 def suffices(conditions: Conditions, enough: int = 2) -> bool:

@@ -17,9 +17,10 @@ from pipeline.coefficients import CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
-from pipeline.problem.condition_noise import NO_LEVELS, ConditionNoise
+from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.force_parameters import bow_force, update_excitations
 from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
+from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
@@ -57,7 +58,7 @@ class Measurement:
     parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
     values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
     tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
-    drift: ConditionNoise = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
+    drift: NoiseLevels = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
     laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
     as_found: tuple[complex, ...] = ()  # kg m at each node, what the baseline shows; none where no bearing drifts
     solved: InitVar[ResponseEquations | None] = None  # :attr:`response`, where it is at hand

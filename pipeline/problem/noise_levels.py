@@ -6,12 +6,12 @@ form where the numbers of records are equal, by expectation and maximisation (EM
 down by a multivariate Student t likelihood (Lange, Little and Taylor 1989), whose scatter is divided by what Gaussian
 data would give, so that clean data have no bias.
 
-Legend: C conditions, S speeds, P channels, Q columns of the design, D = S P.
+Legend: C conditions, R runs (one a condition), S speeds, P channels, Q columns of the design, D = S P.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -27,21 +27,60 @@ TAIL = 4.0
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
-    """Covariances of one record about its condition, and of a condition about the model."""
+    """Covariances of one record about its condition, and of a condition about the model; and what they mean for runs
+    that are such conditions. :data:`pipeline.problem.condition_noise.NO_LEVELS` where readings have noise of their own.
+    """
 
     record: np.ndarray  # (S, P, P) complex, m^2
     condition: np.ndarray  # (D, D) complex, m^2, index s * P + p
     freedom: float  # complex degrees of freedom behind the condition level; 0: a guess, infinite: known
     tail: float | None = None  # complex degrees of freedom of a condition's Student t; None: the freedom alone
     stretch: float = 1.0  # of the covariance, with that tail
+    counts: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (R,) records behind each run; none of no runs
+    weights: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (R,) about 1; small for a stranger among them
+
+    def __bool__(self) -> bool:
+        """Whether there are runs with noise in levels."""
+        return bool(len(self.counts))
 
     def half_width(self, variance: np.ndarray, level: float = 0.95) -> np.ndarray:
         """Half of the interval of the real and of the imaginary part, for complex variances; infinite for a guess."""
         return np.asarray(student_factor(self.tail or self.freedom, level) * np.sqrt(self.stretch * variance / 2))
 
-    def covariance(self, counts: np.ndarray) -> np.ndarray:
-        """(C, D, D) complex, m^2, of means of ``counts`` (C,) records."""
-        return np.asarray(self.condition + spread_blocks(self.record) / np.asarray(counts)[:, None, None])
+    def covariance(self, counts: np.ndarray | None = None) -> np.ndarray:
+        """(C, D, D) complex, m^2, of means of ``counts`` (C,) records; None for those of the runs."""
+        counts = np.asarray(self.counts if counts is None else counts)
+        return np.asarray(self.condition + spread_blocks(self.record) / counts[:, None, None])
+
+    def deviation(self) -> np.ndarray:
+        """(S, P, R) m, root mean square of each reading's noise."""
+        variance = np.diagonal(self.covariance(), axis1=1, axis2=2).real  # (R, D)
+        return np.asarray(np.sqrt(variance).reshape(-1, *self.record.shape[:2]).transpose(1, 2, 0))
+
+    def mixing(self) -> np.ndarray:
+        """(R, D, D): it makes readings over their own deviations independent."""
+        covariance = self.covariance()
+        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
+        correlation = covariance / spread[:, :, None] / spread[:, None, :]
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))
+
+    def conjugated(self) -> NoiseLevels:
+        """That of conjugated readings."""
+        return replace(self, record=self.record.conj(), condition=self.condition.conj())
+
+    def select(self, speeds: np.ndarray, runs: np.ndarray | None) -> NoiseLevels:
+        """The same at the ``speeds`` (mask or index) and for the ``runs`` (indices; None for all)."""
+        if not self:
+            return self
+        kept = np.arange(len(self.condition)).reshape(self.record.shape[:2])[speeds].ravel()
+        chosen = np.arange(len(self.counts)) if runs is None else runs
+        return replace(
+            self,
+            record=self.record[speeds],
+            condition=self.condition[np.ix_(kept, kept)],
+            counts=self.counts[chosen],
+            weights=self.weights[chosen],
+        )
 
 
 def student_factor(freedom: float, level: float = 0.95) -> float:

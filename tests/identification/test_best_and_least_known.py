@@ -13,7 +13,6 @@ from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
-from pipeline.problem.condition_noise import ConditionNoise
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.slopes import invert
@@ -72,7 +71,9 @@ def test_a_run_is_tried_whatever_the_noise_of_the_others() -> None:
     data = one.dataset
     own = np.sqrt((one.deviation**2).mean(axis=2))  # (S, P)
     levels = NoiseLevels(np.zeros((len(TWO), *[own.shape[1]] * 2)), np.diag(own.ravel() ** 2).astype(complex), np.inf)
-    found = combine(replace(one, drift=ConditionNoise(levels, np.ones(len(data.runs)), np.ones(len(data.runs)))), SETUP)
+    found = combine(
+        replace(one, drift=replace(levels, **dict.fromkeys(("counts", "weights"), np.ones(len(data.runs))))), SETUP
+    )
     assert plain is not None
     assert found is not None
     assert plain.next_run is not None

@@ -8,23 +8,23 @@ from balancing import SIZE, circular, truth
 
 from pipeline.data.conditions import gather_conditions
 from pipeline.errors import IdentifiabilityError
-from pipeline.problem.condition_noise import NAMED, ConditionNoise, condition_noise, follow_residuals, to_dataset
+from pipeline.problem.condition_noise import NAMED, condition_noise, follow_residuals, to_dataset
 from pipeline.problem.noise_levels import NoiseLevels, spread_blocks
 
 
-def some_noise(rng: np.random.Generator, counts: np.ndarray) -> ConditionNoise:
+def some_noise(rng: np.random.Generator, counts: np.ndarray) -> NoiseLevels:
     """Levels of two speeds and three channels, all correlated."""
     root, own = circular(rng, SIZE, SIZE), 0.7 * circular(rng, 2, 3, 3)
     record = own @ own.conj().swapaxes(1, 2)
-    return ConditionNoise(NoiseLevels(record, root @ root.conj().T, 50.0), counts, np.ones(len(counts)))
+    return NoiseLevels(record, root @ root.conj().T, 50.0, counts=counts, weights=np.ones(len(counts)))
 
 
 def test_mixing_whitens_what_the_levels_draw(rng: np.random.Generator) -> None:
     """Drift and the mean of one or three records, 4000 times each: unit and independent, to three deviations."""
     counts = np.array([1, 3])
     noise, draws = some_noise(rng, counts), 4000
-    drift = np.linalg.cholesky(noise.levels.condition)
-    own = np.linalg.cholesky(spread_blocks(noise.levels.record))
+    drift = np.linalg.cholesky(noise.condition)
+    own = np.linalg.cholesky(spread_blocks(noise.record))
     for r, count in enumerate(counts):
         drawn = circular(rng, draws, SIZE) @ drift.T + circular(rng, draws, SIZE) @ own.T / np.sqrt(count)
         white = (drawn / noise.deviation()[..., r].ravel()) @ noise.mixing()[r].T
@@ -70,14 +70,14 @@ def test_one_bad_condition_does_not_fool_the_levels(rng: np.random.Generator) ->
     vectors[7] += machine.influence @ np.array([4e-5, 0.0])
     clean, found = condition_noise(good), condition_noise(machine.gather(good.unbalance, vectors))
     assert found.weights[7] < NAMED < np.delete(found.weights, 7).min()
-    assert np.trace(found.levels.condition) == pytest.approx(np.trace(clean.levels.condition), rel=0.2)
+    assert np.trace(found.condition) == pytest.approx(np.trace(clean.condition), rel=0.2)
 
 
 def test_a_law_of_the_weights_is_no_noise(rng: np.random.Generator) -> None:
     """Heavy screws act more than in proportion: the levels stay those of the same noise without that law."""
     straight = truth(rng)
     bent = type(straight)(straight.baseline, straight.influence, straight.root, 3e3)
-    of_both = [condition_noise(one.draw(np.random.default_rng(3), 40)).levels.condition for one in (straight, bent)]
+    of_both = [condition_noise(one.draw(np.random.default_rng(3), 40)).condition for one in (straight, bent)]
     np.testing.assert_allclose(of_both[1], of_both[0], atol=1e-9 * abs(of_both[0]).max())
 
 
