@@ -360,34 +360,26 @@ def write_table(
         names = dict.fromkeys(name for row in table for name in row)
         table = {name: [row.get(name) for row in table] for name in names}
     columns = {str(name): np.asarray(table[name]) for name in table}
-    # By the ending of `path`: the temporary file beside it has another name.
-    if path.suffix == ".parquet":
-        every = dict(marks or {}) | {"schema": SCHEMA}
-        return write_beside(path, lambda beside: _write_parquet(beside, columns, every))
-    return write_beside(path, lambda beside: _write_csv(beside, columns))
 
+    def write(beside: Path) -> None:
+        if path.suffix == ".parquet":  # the temporary file beside it has another ending
+            import pyarrow as pa
+            import pyarrow.parquet as parquet
 
-def _write_cell(value: Any) -> str:
-    """A float as its shortest text that reads back to the same bits."""
-    if isinstance(value, str):
-        return _FORMULA.sub(r"'\2", value)
-    return "" if value is None or value != value else str(value)
+            arrays = {
+                k: pa.array(column.tolist() if column.dtype == object else column) for k, column in columns.items()
+            }
+            every = {f"{_MARK}{key}": mark for key, mark in (dict(marks or {}) | {"schema": SCHEMA}).items()}
+            parquet.write_table(pa.table(arrays).replace_schema_metadata(every), beside)
+            return
+        cells = [column.tolist() for column in columns.values()]  # a float as its shortest text with the same bits
+        texts = [
+            [_FORMULA.sub(r"'\2", v) if isinstance(v, str) else "" if v is None or v != v else str(v) for v in column]
+            for column in cells
+        ]
+        with beside.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*texts, strict=True))
 
-
-def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    texts = [[_write_cell(value) for value in column.tolist()] for column in columns.values()]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*texts, strict=True))
-
-
-def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], marks: Mapping[str, str]) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
-
-    stored = pa.table(
-        {name: pa.array(column.tolist() if column.dtype == object else column) for name, column in columns.items()}
-    )
-    stored = stored.replace_schema_metadata({f"{_MARK}{key}": mark for key, mark in marks.items()})
-    parquet.write_table(stored, path)
+    return write_beside(path, write)

@@ -196,8 +196,13 @@ def read_measured(
         raise DataError(f"'{vibration}' must have data of every run, but run '{run}' of '{excitation}' has none")
     points = find_points(table["speed_rpm"], operating, same)
     dataset = _assemble(table, points, (nodes, angles), vibration, runs, excitations)
-    if dataset.own_frequencies is not None:
-        _check_synchronous(dataset, vibration)
+    for load in dataset.excitations if dataset.own_frequencies is not None else ():
+        frequencies = dataset.frequencies[:, dataset.runs.index(load.run)]
+        if load.kind == "unbalance" and not synchronous(frequencies, dataset.speeds).all():  # it turns with the rotor
+            raise DataError(
+                f"'{vibration}' must have the rotor's frequency in runs with an unbalance, but run '{load.run}' has "
+                "another: give its force as kind 'force', or leave the frequency out"
+            )
     return subtract_baseline(dataset, baseline) if baseline else dataset
 
 
@@ -300,17 +305,6 @@ def _read_frequencies(
             f"at {rpm:g} rpm: give every frequency a run of its own"
         )
     return frequencies
-
-
-def _check_synchronous(dataset: VibrationDataset, path: Path) -> None:
-    """An unbalance turns with the rotor."""
-    for excitation in dataset.excitations:
-        frequencies = dataset.frequencies[:, dataset.runs.index(excitation.run)]
-        if excitation.kind == "unbalance" and not synchronous(frequencies, dataset.speeds).all():
-            raise DataError(
-                f"'{path}' must have the rotor's frequency in runs with an unbalance, but run '{excitation.run}' has "
-                "another: give its force as kind 'force', or leave the frequency out"
-            )
 
 
 def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:

@@ -199,18 +199,28 @@ def summarize_refits(refits: Sequence[Refit]) -> dict[str, object]:
 
 def _summarize_physics(refits: Sequence[Refit]) -> dict[str, object]:
     """Errors at conditions that no run has, and of the numbers of the bearing laws; nothing where there are none."""
-    unmeasured: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
-    together = {}
-    for state, bearings in refits[0].unmeasured.items():
-        for node, names in bearings.items():
-            for name in names:
-                median = [refitted.unmeasured[state][node][name]["median_error_percent"] for refitted in refits]
-                unmeasured.setdefault(state, {}).setdefault(node, {})[name] = {
-                    "median_error_percent": float(np.median(median)),
-                    "worst_median_error_percent": float(np.max(median)),
+    unmeasured = {
+        state: {
+            node: {
+                name: {
+                    "median_error_percent": float(np.median(errors)),
+                    "worst_median_error_percent": float(np.max(errors)),
                 }
-        medians = [error["median_error_percent"] for names in unmeasured[state].values() for error in names.values()]
-        together[state] = {"median_error_percent": float(np.median(medians))}
+                for name in names
+                for errors in [[refitted.unmeasured[state][node][name]["median_error_percent"] for refitted in refits]]
+            }
+            for node, names in bearings.items()
+        }
+        for state, bearings in refits[0].unmeasured.items()
+    }
+    together = {
+        state: {
+            "median_error_percent": float(
+                np.median([e["median_error_percent"] for names in bearings.values() for e in names.values()])
+            )
+        }
+        for state, bearings in unmeasured.items()
+    }
     numbers = {}
     for name in refits[0].numbers:
         every = [refitted.numbers[name] for refitted in refits]

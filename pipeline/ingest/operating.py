@@ -27,8 +27,18 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
 
     Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
     """
-    logged = _read_log(config)
-    conditions = []
+    logged, conditions = None, []
+    if config.conditions_file:
+        path, places = Path(config.conditions_file), {"speed_rpm": "number", "time_s": "number"}
+        table, operating = read_with_conditions(path, {"run": "text"}, places)
+        require_complete(operating, path, table)
+        if not operating:
+            raise DataError(
+                f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
+            )
+        if places.keys() <= table.keys():
+            raise DataError(f"'{path}' must have speed_rpm or time_s, but it has both: leave one out")
+        logged = table, operating
     for run, tracks in zip(config.runs, runs, strict=True):
         levels = {name: np.interp(speeds, *condition) for name, condition in tracks.conditions.items()}
         if logged is not None:
@@ -45,22 +55,6 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
                 "machine.recordings.conditions_file"
             )
     return {name: np.stack([levels[name] for levels in conditions], axis=1) for name in names}
-
-
-def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:
-    if not config.conditions_file:
-        return None
-    path = Path(config.conditions_file)
-    places = {"speed_rpm": "number", "time_s": "number"}
-    table, operating = read_with_conditions(path, {"run": "text"}, places)
-    require_complete(operating, path, table)
-    if not operating:
-        raise DataError(
-            f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
-        )
-    if places.keys() <= table.keys():
-        raise DataError(f"'{path}' must have speed_rpm or time_s, but it has both: leave one out")
-    return table, operating
 
 
 def _look_up(

@@ -167,13 +167,35 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
     import pyuff
 
     with open_measured(path, "complete universal file"):
-        content = path.read_bytes()
+        raw = path.read_bytes()
         stored = pyuff.UFF(str(path))
         count = int(stored.get_n_sets())
-        if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
+        if len(_MARK.findall(raw)) != 2 * count or not raw.rstrip().endswith(b"-1"):
             raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
         sets: list[dict[str, Any]] = [stored.read_sets(i) for i in range(count)]
-    records = tuple(_make_record(path, dataset) for dataset in sets if dataset.get("type") == 58)
+    records = []
+    for content in (dataset for dataset in sets if dataset.get("type") == 58):
+        texts = [str(content.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
+        record = UffRecord(
+            texts=tuple(text for text in texts if text not in ("", "NONE")),
+            response=(int(content["rsp_node"]), int(content["rsp_dir"])),
+            abscissa=np.asarray(content["x"], dtype=float),
+            values=np.asarray(content["data"]),
+            abscissa_type=int(content.get("abscissa_spec_data_type", 0)),
+            abscissa_label=str(content.get("abscissa_axis_units_lab", "")),
+            ordinate_type=int(content.get("ordinate_spec_data_type", 0)),
+            ordinate_label=str(content.get("ordinate_axis_units_lab", "")),
+            denominator_type=int(content.get("orddenom_spec_data_type", 0)),
+        )
+        n = int(content["num_pts"])
+        if not n == len(record.values) == len(record.abscissa) or n == 0:
+            raise DataError(
+                f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "
+                f"{len(record.values)}: the file is damaged, copy it again"
+            )
+        if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
+            raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
+        records.append(record)
     if not records:
         raise DataError(
             f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
@@ -181,7 +203,7 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
         )
     units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
-    return records, 1 / factor if factor > 0 else 0.0
+    return tuple(records), 1 / factor if factor > 0 else 0.0
 
 
 def list_records(path: Path) -> tuple[dict[str, str], list[str], bool]:
@@ -298,27 +320,3 @@ def _note_contradictions(record: UffRecord, metre: float, said: VectorConvention
     if record.denominator_type in _FORCES:
         notes.append(f"{where} is per force: its numbers are right for a force of 1 N in this run")
     return notes
-
-
-def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
-    texts = [str(content.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
-    record = UffRecord(
-        texts=tuple(text for text in texts if text not in ("", "NONE")),
-        response=(int(content["rsp_node"]), int(content["rsp_dir"])),
-        abscissa=np.asarray(content["x"], dtype=float),
-        values=np.asarray(content["data"]),
-        abscissa_type=int(content.get("abscissa_spec_data_type", 0)),
-        abscissa_label=str(content.get("abscissa_axis_units_lab", "")),
-        ordinate_type=int(content.get("ordinate_spec_data_type", 0)),
-        ordinate_label=str(content.get("ordinate_axis_units_lab", "")),
-        denominator_type=int(content.get("orddenom_spec_data_type", 0)),
-    )
-    n = int(content["num_pts"])
-    if not n == len(record.values) == len(record.abscissa) or n == 0:
-        raise DataError(
-            f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "
-            f"{len(record.values)}: the file is damaged, copy it again"
-        )
-    if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
-        raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
-    return record

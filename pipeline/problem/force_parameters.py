@@ -44,7 +44,7 @@ def update_excitations(
 ) -> VibrationDataset:
     """The data set with the weights at parameters ``values`` (T,)."""
     shifts = _shifts(parameters, values)
-    updated = [_vector(weight, _effective(weight, i, shifts)) for i, weight in number_excitations(dataset.excitations)]
+    updated = [_vector(weight, _act(weight, i, shifts)) for i, weight in number_excitations(dataset.excitations)]
     return replace(dataset, excitations=tuple(updated)) if shifts else dataset
 
 
@@ -65,7 +65,7 @@ def force_change(
         else:
             acts = weight.kind == "unbalance" and parameter.detail in ("", *PARTS, write_label(weight))
         if acts:
-            changes.append(_vector(weight, parameter.deviation * _derive(weight, i, shifts, parameter)))
+            changes.append(_vector(weight, parameter.deviation * _act(weight, i, shifts, parameter)))
     return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
 
 
@@ -79,34 +79,26 @@ def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts
     return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in _OF_ANY}
 
 
-def _parts(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[float, complex, complex]:
-    """Magnitude and turn of a weight, and the a of ``U (1 + a |U|)``."""
+def _act(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter | None = None) -> complex:
+    """What a weight acts as, ``turn U (1 + a |U|)`` of its size U; or the derivative of that by the ``parameter``."""
     common_shifts: _Shifts = shifts if excitation.kind == "unbalance" else {}
     law = sum((unit * common_shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
     common, label = common_shifts.get(("weight_angle", "", 0), 0.0), write_label(excitation)
     common += common_shifts.get(("label_angle", label, 0), 0.0)
     gain = common_shifts.get(("weight_gain", "", 0), 0.0) + common_shifts.get(("label_gain", label, 0), 0.0)
-    turn = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
-    size = excitation.magnitude * np.exp(gain) * (1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0))
-    return float(size), complex(np.exp(1j * turn)), law
-
-
-def _effective(excitation: Excitation, i: int, shifts: _Shifts) -> complex:
-    size, turn, law = _parts(excitation, i, shifts)
-    return turn * size * (1 + law * size)
-
-
-def _derive(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter) -> complex:
-    """The derivative of :func:`_effective` by the number itself."""
-    size, turn, law = _parts(excitation, i, shifts)
+    angle = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
+    share = 1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0)
+    size, turn = float(excitation.magnitude * np.exp(gain) * share), complex(np.exp(1j * angle))
+    effective = turn * size * (1 + law * size)
+    if parameter is None:
+        return effective
     if parameter.kind == "unbalance_magnitude":
-        share = 1 + shifts[parameter.kind, excitation.run, i]
         return turn * (size / share) * (1 + 2 * law * size)
     if parameter.kind in ("weight_gain", "label_gain"):
         return turn * size * (1 + 2 * law * size)
     if parameter.kind == "weight_law":
         return turn * size**2 * PARTS[parameter.detail]
-    return 1j * _effective(excitation, i, shifts)
+    return 1j * effective
 
 
 def _vector(excitation: Excitation, value: complex) -> Excitation:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coefficients import CoefficientName
+from pipeline.coefficients import COEFFICIENTS, CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.force_parameters import bow_force, update_excitations
-from pipeline.problem.model_parameters import known_change, runout, sensor_matrix, turns_with_rotor
+from pipeline.problem.model_parameters import runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
@@ -101,7 +101,6 @@ class Measurement:
 
         Raises DataError with the law that a file breaks.
         """
-        from pipeline.coefficients import COEFFICIENTS
         from pipeline.config.rotor import RotorConfig
         from pipeline.data.coefficient_files import read_coefficients
         from pipeline.data.vibration_files import read_dataset
@@ -193,7 +192,13 @@ class Measurement:
     @property
     def known_variation(self) -> np.ndarray:
         """(S, B, 8, T) derivative of the known coefficients by the model parameters, N/m and N s/m."""
-        return known_change(self.parameters, self.known)
+        known = self.known
+        result = np.zeros((len(known.speeds), len(known.nodes), len(COEFFICIENTS), len(self.parameters)))
+        for t, parameter in enumerate(self.parameters):
+            if parameter.kind == "known_coefficients":
+                c = COEFFICIENTS.index(parameter.detail)
+                result[:, parameter.place, c, t] = parameter.deviation * known.values[parameter.place, :, c]
+        return result
 
     @property
     def parameter_values(self) -> np.ndarray:

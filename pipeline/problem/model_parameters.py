@@ -321,16 +321,3 @@ def support_change(parameters: Sequence[ModelParameter], rotor: RotorModel, freq
             c = COEFFICIENTS.index(letter + 2 * parameter.detail)
             result[:, parameter.place - rotor.n_nodes, c, t] = parameter.deviation * parameter.stated * factor
     return result
-
-
-# --- known coefficients --------------------------------------------------------------------------------
-
-
-def known_change(parameters: Sequence[ModelParameter], known: BearingTable) -> np.ndarray:
-    """(S, B, 8, T) derivative of the known coefficients by the parameters, N/m and N s/m."""
-    result = np.zeros((len(known.speeds), len(known.nodes), len(COEFFICIENTS), len(parameters)))
-    for t, parameter in enumerate(parameters):
-        if parameter.kind == "known_coefficients":
-            c = COEFFICIENTS.index(parameter.detail)
-            result[:, parameter.place, c, t] = parameter.deviation * known.values[parameter.place, :, c]
-    return result

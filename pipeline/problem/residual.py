@@ -140,22 +140,17 @@ def linear_residual(equations: BearingEquations, unknowns: UnknownSet, known: Be
         np.concatenate([matrix.real, matrix.imag], axis=2),
         np.concatenate([offset.real, offset.imag], axis=2),
     )
-    _check_motion(equations, residual)
-    return residual
-
-
-def _check_motion(equations: BearingEquations, residual: LinearResidual) -> None:
     force = np.abs(equations.free_residual).max(axis=(2, 3))[..., None]  # (B, S, 1)
     still = (np.abs(residual.matrix).max(axis=2) == 0) | (force == 0)
-    wanted = (residual.unknowns.expansion != 0).any(axis=1)  # (B, U)
-    points = np.argwhere(still & wanted[:, None])
+    points = np.argwhere(still & (unknowns.expansion != 0).any(axis=1)[:, None])
     if len(points):
         b, s, u = points[0]
         raise IdentifiabilityError(
-            f"The bearing at node {equations.bearing_nodes[b]} must move to show its {residual.unknowns.names[u]}, but "
+            f"The bearing at node {equations.bearing_nodes[b]} must move to show its {unknowns.names[u]}, but "
             f"the data have no motion of it at {equations.speeds[s]:.6g} rad/s ({len(points)} such points): "
             "check the sensors"
         )
+    return residual
 
 
 def decompose_columns(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -180,17 +175,9 @@ def per_speed_least_squares(residual: LinearResidual) -> tuple[np.ndarray, np.nd
     inverse = np.where(usable, 1.0 / np.where(usable, singular, 1.0), 0.0)
     projected = np.einsum("bsru,bsr->bsu", left, residual.offset) * inverse
     scaled = -np.einsum("bsuv,bsu->bsv", right, projected)
-    return scaled / length, _condition_numbers(singular, residual.unknowns)
-
-
-def _condition_numbers(singular: np.ndarray, unknowns: UnknownSet) -> np.ndarray:
-    """(M, S) ratio of the largest to the smallest of the ``singular`` values (M, S, min(rows, U)) that count.
-
-    An unknown that a member does not have is a singular value of zero that does not count.
-    """
     condition = np.full(singular.shape[:2], np.inf)
-    for m, count in enumerate(unknowns.present.sum(axis=1)):
-        if count <= singular.shape[2]:
+    for m, count in enumerate(residual.unknowns.present.sum(axis=1)):
+        if count <= singular.shape[2]:  # an unknown that a member lacks is a singular value of zero that does not count
             with np.errstate(divide="ignore"):
                 condition[m] = singular[m, :, 0] / singular[m, :, count - 1] if count else 1.0
-    return condition
+    return scaled / length, condition

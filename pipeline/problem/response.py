@@ -73,16 +73,6 @@ class ResponseBlock:
         sensors, bearings = self.forced_sensors[..., at], self.forced_bearings[..., at]
         return replace(self, runs=self.runs[at], forced_sensors=sensors, forced_bearings=bearings)
 
-    def first_places(self, count: int) -> ResponseBlock:
-        """The same with the first ``count`` displacements of bearings and casings alone."""
-        return replace(
-            self,
-            forced_bearings=self.forced_bearings[..., :count, :],
-            receptance_sensors=self.receptance_sensors[..., :count],
-            receptance_bearings=self.receptance_bearings[..., :count, :count],
-            unit_bearings=self.unit_bearings[..., :count, :],
-        )
-
     def converted(self, convert: Callable[[Array], Array]) -> ResponseBlock:
         """The same with every array but the numbers of the runs as ``convert`` makes it."""
         made = {f.name: convert(getattr(self, f.name)) for f in fields(self) if f.name != "runs"}
@@ -220,7 +210,17 @@ class ResponseEquations:
     @property
     def films(self) -> tuple[ResponseBlock, ...]:
         """The blocks without the casings, whose supports are as they were solved with."""
-        return tuple(block.first_places(2 * len(self.bearing_nodes)) for block in self.blocks)
+        count = 2 * len(self.bearing_nodes)
+        return tuple(
+            replace(
+                block,
+                forced_bearings=block.forced_bearings[..., :count, :],
+                receptance_sensors=block.receptance_sensors[..., :count],
+                receptance_bearings=block.receptance_bearings[..., :count, :count],
+                unit_bearings=block.unit_bearings[..., :count, :],
+            )
+            for block in self.blocks
+        )
 
     @property
     def references(self) -> np.ndarray:

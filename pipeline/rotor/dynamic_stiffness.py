@@ -106,7 +106,14 @@ def solve(
     band = np.empty((min(chunk_size, len(speeds)), size, 3 * width + 1), dtype=complex)
     for start in range(0, len(speeds), chunk_size):
         chunk = slice(start, min(start + chunk_size, len(speeds)))
-        _assemble(system, frequencies[chunk], speeds[chunk], impedance[:, chunk], impedance_places, band)
+        band[:, :, :width] = 0.0
+        matrix, w, speed = band[: chunk.stop - start, :, width:], frequencies[chunk], speeds[chunk]
+        matrix.real = system.stiffness - w[:, None, None] ** 2 * system.mass
+        matrix.imag = w[:, None, None] * (system.damping + speed[:, None, None] * system.gyroscopic)
+        seals = zip(system.seals.impedance(w, speed), system.seal_places, strict=True)
+        for block, places in (*zip(impedance[:, chunk], impedance_places, strict=True), *seals):
+            for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
+                matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
         for s in range(chunk.start, chunk.stop):
             *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
             if info != 0:
@@ -124,26 +131,6 @@ def _singular(speed: float) -> PipelineError:
         "The dynamic stiffness must be regular to give a response, "
         f"but it is singular at {speed:.6g} rad/s: check bearings and supports of the rotor"
     )
-
-
-def _assemble(
-    system: BandedStiffness,
-    frequencies: np.ndarray,
-    speeds: np.ndarray,
-    impedance: np.ndarray,
-    impedance_places: np.ndarray,
-    band: np.ndarray,
-) -> None:
-    width, count = system.bandwidth, len(speeds)
-    w, speed = frequencies[:, None, None], speeds[:, None, None]
-    band[:, :, :width] = 0.0
-    matrix = band[:count, :, width:]
-    matrix.real = system.stiffness - w**2 * system.mass
-    matrix.imag = w * (system.damping + speed * system.gyroscopic)
-    seals = zip(system.seals.impedance(frequencies, speeds), system.seal_places, strict=True)
-    for block, places in (*zip(impedance, impedance_places, strict=True), *seals):
-        for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
-            matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
 
 
 def apply(

@@ -193,7 +193,19 @@ def read_rotor_file(file: Path) -> Any:
                 for name, content in data.items()
                 if name not in ("parameters", "ross_version") and not name.startswith("_")
             ]
-            _check_shaft([element.n for element in elements if isinstance(element, rs.ShaftElement)], file)
+            nodes = sorted({int(element.n) for element in elements if isinstance(element, rs.ShaftElement)})
+            if not nodes:
+                raise ConfigError(f"machine.rotor.file must have a shaft, but '{file}' has no ShaftElement")
+            if nodes[0] != 0:
+                raise ConfigError(
+                    f"machine.rotor.file must have a shaft from node 0 on, but '{file}' begins at {nodes[0]}"
+                )
+            if gap := next(((a, b) for a, b in itertools.pairwise(nodes) if b != a + 1), None):
+                raise ConfigError(
+                    f"machine.rotor.file must have one shaft, but that of '{file}' ends at node {gap[0] + 1} and "
+                    f"another begins at node {gap[1]} (rotors on one axis or joined by gears): save the rotor that was "
+                    "measured by itself"
+                )
             kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
             parts = [[element for element in elements if isinstance(element, kind)] for kind in kinds]
             return rs.Rotor(*parts, **data["parameters"])
@@ -225,21 +237,6 @@ def _find_class(name: str, content: Any, file: Path) -> Any:
     if issubclass(ross_class, rs.BearingElement) and count in (1, speeds):
         return rs.SealElement if issubclass(ross_class, rs.SealElement) else rs.BearingElement
     return ross_class
-
-
-def _check_shaft(starts: list[Any], file: Path) -> None:
-    """Raise ConfigError where the elements, at the nodes ``starts``, are not one shaft from node 0 on."""
-    nodes = sorted({int(start) for start in starts})
-    if not nodes:
-        raise ConfigError(f"machine.rotor.file must have a shaft, but '{file}' has no ShaftElement")
-    if nodes[0] != 0:
-        raise ConfigError(f"machine.rotor.file must have a shaft from node 0 on, but '{file}' begins at {nodes[0]}")
-    for a, b in itertools.pairwise(nodes):
-        if b != a + 1:
-            raise ConfigError(
-                f"machine.rotor.file must have one shaft, but that of '{file}' ends at node {a + 1} and another begins "
-                f"at node {b} (rotors on one axis or joined by gears): save the rotor that was measured by itself"
-            )
 
 
 # --- what stands between shaft and ground --------------------------------------------------------------
