@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.balance.linear_vibration import LinearVibration, circle_radius, judge_distance
 from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError
-from pipeline.problem.noise_levels import NoiseLevels, student_factor
+from pipeline.problem.noise_levels import student_factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +78,15 @@ def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 
             break
     residual = (vector - model.predict(value[None])[0][0])[kept]
     squared = float((residual.conj() @ np.linalg.solve(total, residual)).real)
-    left, factor = _corrected(model.noise, int(kept.sum()) - n_planes, squared)
+    spare, levels, factor = int(kept.sum()) - n_planes, model.noise, 1.0  # entries that are covariates
+    left = levels.freedom
+    if levels.tail:  # the conditional law of a Student t
+        left = levels.tail + spare
+        factor = levels.stretch * (levels.tail + squared / levels.stretch) / left
+    elif 0 < left < np.inf:
+        left = max(left - spare, 1.0)  # a shrunk covariance has a little more; 1 is the least with an interval
+        factor = levels.freedom / left * (1 + squared / levels.freedom)
     return Unbalance(model.planes, value, np.linalg.inv(information) * factor, left, squared)
-
-
-def _corrected(noise: NoiseLevels, spare: int, squared: float) -> tuple[float, float]:
-    """Degrees of freedom of the answer, and the factor of its covariance, where ``spare`` entries are covariates."""
-    if noise.tail:  # the conditional law of a Student t
-        left = noise.tail + spare
-        return left, noise.stretch * (noise.tail + squared / noise.stretch) / left
-    if noise.freedom <= 0 or not np.isfinite(noise.freedom):
-        return noise.freedom, 1.0
-    left = max(noise.freedom - spare, 1.0)  # a shrunk covariance has a little more; 1 is the least with an interval
-    return left, noise.freedom / left * (1 + squared / noise.freedom)
 
 
 def _rice(magnitude: float, half_width: float, level: float) -> tuple[float, float]:

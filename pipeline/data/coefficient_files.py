@@ -20,7 +20,6 @@ from pipeline.data.operating import (
     list_columns,
     read_with_conditions,
     require_complete,
-    round_digits,
 )
 from pipeline.data.tables import Columns, write_table
 from pipeline.data.vibration_files import to_rpm
@@ -139,7 +138,8 @@ def _make_keys(rpm: np.ndarray, states: Operating) -> np.ndarray:
     """(n, 1 + conditions) what tells points apart: speeds of two files are the same where they agree to a millionth of
     an rpm, conditions where nine digits do.
     """
-    return np.stack([np.round(rpm, 6), *(round_digits(values) for values in states.values())], axis=1)
+    digits = ([float(f"{value:.9g}") for value in values] for values in states.values())
+    return np.stack([np.round(rpm, 6), *map(np.array, digits)], axis=1)
 
 
 def read_known(

@@ -153,11 +153,6 @@ def describe_points(dataset: VibrationDataset) -> str:
     return f"{len(dataset.speeds)} operating points ({count} speeds; {'; '.join(ranges)})"
 
 
-def round_digits(values: np.ndarray) -> np.ndarray:
-    """Values (S,) of nine digits: what two files say of one condition is the same then."""
-    return np.array([float(f"{value:.9g}") for value in values])
-
-
 def find_points(
     speeds: np.ndarray, operating: Operating, same: Mapping[str, float] | None = None
 ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:

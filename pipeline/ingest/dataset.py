@@ -25,7 +25,6 @@ from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
 from pipeline.ingest.operating import find_conditions, to_points
-from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
 from pipeline.ingest.table import TableRecordingsConfig
@@ -59,10 +58,11 @@ class MeasuredRuns:
     """By run: of the run-ups that show a peak."""
 
 
-def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> MeasuredRuns:
+def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead: float = 0.01) -> MeasuredRuns:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError.
 
-    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
+    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named, and
+    those that are not connected: they read less than the share ``dead`` of what the probes read (median).
     """
     runs = config.read()
     notes = [note for run in runs for note in run.notes]
@@ -75,7 +75,13 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     ]
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
-        notes += note_dead(run.name, sizes)
+        usual = float(np.median(list(sizes.values())))
+        notes += [
+            f"probe '{probe}' of run '{run.name}' reads {100 * size / usual:.2g} % of what the probes read (median): "
+            "is it dead, or is its scale that of another unit?"
+            for probe, size in sizes.items()
+            if 0 < size < dead * usual
+        ]
     asynchronous = {run.name for run in config.runs if run.asynchronous}
     if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll

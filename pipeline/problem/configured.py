@@ -25,7 +25,7 @@ from pipeline.errors import ConfigError
 from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import model_parameters, usual_deviations, usual_tolerances
+from pipeline.problem.model_parameters import ALWAYS_FITTED, model_parameters, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probe, require_nodes
@@ -207,7 +207,8 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
     unknowns, stated_numbers = identify.unknowns_of(rotor.bearing_nodes), identify.model_parameters.deviations
     usual = identify.usual_tolerances
     if model.families and usual:
-        usual, stated_numbers = False, usual_deviations(stated_numbers, rotor, dataset, known, unknowns)
+        always = usual_tolerances((), rotor, dataset, known, unknowns, ALWAYS_FITTED)
+        usual, stated_numbers = False, {p.kind: p.deviation for p in always} | dict(stated_numbers)
     return Measurement(
         rotor,
         dataset,

@@ -141,7 +141,7 @@ def response_variations(
     sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
     places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
-    impedance, blocks = _impedance(updated, len(speeds), reference), []
+    impedance, blocks, rows = _impedance(updated, len(speeds), reference), [], places.loads(updated.n_dof).T
     for runs, w, n_planes, solved in _solved(updated, data, reference, planes, bow):
         at_bearings, at_sensors, forced = [], [], slice(0, len(runs))
         for t, parameter in enumerate(parameters):
@@ -153,8 +153,12 @@ def response_variations(
             if (bent := bow_change(parameter, rotor)) is not None:
                 right[..., forced] += bent[:, None] * turns[runs]
             if parameter.kind in MOVED:
-                tilted, beside = _tilt(updated, parameter, reference, solved)
-                right += tilted
+                # With the bearings' rows c on the matrices, D + c' H0 c has the derivative dc' H0 c + c' H0 dc.
+                slopes = parameter.deviation * MOVED[parameter.kind][1](updated, parameter.place)
+                right -= reference * (slopes.T @ (rows @ solved) + rows.T @ (slopes @ solved))
+                ground = TRANSLATIONS * updated.n_ground
+                right[..., right.shape[-1] - len(rows) - ground : right.shape[-1] - ground] += slopes.T
+                beside = np.pad(slopes @ solved, ((0, 0), (0, ground), (0, 0)))  # the bearings' own motion
             response = right
             if right.any():  # the probes and the known coefficients move nothing on the reference bearings
                 response = solve(system, w, speeds, right, impedance, places.dof)
@@ -168,19 +172,3 @@ def response_variations(
             at_sensors.append(shown)
         blocks.append(_split(runs, w, n_planes, np.stack(at_bearings), np.stack(at_sensors)))
     return tuple(blocks)
-
-
-def _tilt(
-    rotor: RotorModel, parameter: ModelParameter, reference: complex, response: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What the place of a bearing moves: (S, n, R + N + 2 B) on the right, and (S, 2 B, ..) of their own motion.
-
-    With the bearing's rows c on the matrices, ``D + c' H0 c`` has the derivative ``dc' H0 c + c' H0 dc``.
-    """
-    rows = bearing_places(rotor).loads(rotor.n_dof).T
-    slopes = parameter.deviation * MOVED[parameter.kind][1](rotor, parameter.place)
-    right = -reference * (slopes.T @ (rows @ response) + rows.T @ (slopes @ response))
-    beside = TRANSLATIONS * rotor.n_ground
-    first = response.shape[-1] - len(rows) - beside
-    right[..., first : first + len(rows)] += slopes.T
-    return right, np.pad(slopes @ response, ((0, 0), (0, beside), (0, 0)))

@@ -41,11 +41,6 @@ class ReadingSlopes:
         return self._over_noise(np.einsum("sprbc,bca->spra", self._by_coefficient, influence, optimize=True))
 
     @property
-    def by_unbalance(self) -> np.ndarray:
-        """(S, P, R, N) by residual unbalance, over kg m."""
-        return self._over_noise(self.measurement.response.derive_by_unbalance(self.bearings))
-
-    @property
     def by_model(self) -> np.ndarray:
         """(S, P, R, T) by the model parameters, over their prior deviations."""
         measurement, response = self.measurement, self.measurement.response
@@ -63,7 +58,8 @@ class ReadingSlopes:
 
         ``by_number`` (S, A, n) is the derivative of the active unknowns by the numbers; Z = n + 2 N + T.
         """
-        first, by_plane = np.einsum("spra,san->sprn", self.by_unknown, by_number, optimize=True), self.by_unbalance
+        first = np.einsum("spra,san->sprn", self.by_unknown, by_number, optimize=True)
+        by_plane = self._over_noise(self.measurement.response.derive_by_unbalance(self.bearings))
         return np.asarray(np.sqrt(2.0) * np.concatenate([first, by_plane, 1j * by_plane, self.by_model], axis=-1))
 
     def _over_noise(self, slopes: np.ndarray) -> np.ndarray:

@@ -117,20 +117,16 @@ def solve(
         for s in range(chunk.start, chunk.stop):
             *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
             if info != 0:
-                raise _singular(speeds[s])
+                solution[s] = np.nan
     finite = np.isfinite(solution).all(axis=(1, 2))
     if not finite.all():
-        raise _singular(speeds[~finite][0])
+        raise PipelineError(
+            "The dynamic stiffness must be regular to give a response, but it is singular at "
+            f"{speeds[~finite][0]:.6g} rad/s: check bearings and supports of the rotor"
+        )
     result = np.empty_like(right, dtype=complex)
     result[:, system.order] = solution.swapaxes(1, 2)
     return result
-
-
-def _singular(speed: float) -> PipelineError:
-    return PipelineError(
-        "The dynamic stiffness must be regular to give a response, "
-        f"but it is singular at {speed:.6g} rad/s: check bearings and supports of the rotor"
-    )
 
 
 def apply(

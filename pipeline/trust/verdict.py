@@ -124,17 +124,16 @@ MODEL_MAY = (
 )
 
 
-def find_contradicted(evidence: Evidence) -> dict[str, float]:
-    """Runs that contradict the sums of the others, without any model: mean square over the noise."""
-    return _list_beyond(evidence.superposed, evidence)
-
-
-def _list_beyond(squares: Mapping[str, float], evidence: Evidence, most: float = 3.0) -> dict[str, float]:
-    """Runs whose mean square over the noise is more than ``most``, and than that of the fit by as much.
+def find_contradicted(
+    evidence: Evidence, squares: Mapping[str, float] | None = None, most: float = 3.0
+) -> dict[str, float]:
+    """Runs that contradict the sums of the others, without any model, or by other ``squares``: mean square over the
+    noise, where it is more than ``most``, and than that of the fit by as much.
 
     It is at most 1 of right runs; among these, one in a thousand with few readings comes above 3.
     """
-    return {run: size for run, size in squares.items() if size > most * max(1.0, evidence.misfit.size)}
+    every = evidence.superposed if squares is None else squares
+    return {run: size for run, size in every.items() if size > most * max(1.0, evidence.misfit.size)}
 
 
 def judge_machine(evidence: Evidence) -> list[Reason]:
@@ -168,7 +167,7 @@ def _judge_runs(evidence: Evidence) -> list[Reason]:
         ("the sum of other runs", evidence.superposed, ""),
         ("the fit of the other runs", evidence.predicted, MODEL_MAY),
     ):
-        if bad := _list_beyond(squares, evidence):
+        if bad := find_contradicted(evidence, squares):
             run = rank(bad)[0]
             model = "the model, and " if doubt else ""
             return [

@@ -38,7 +38,6 @@ from pipeline.twin.modes import (
     find_critical_speeds,
     find_modes,
     find_reached,
-    find_whirling,
     judge_growth,
     measure_stability,
 )
@@ -70,19 +69,24 @@ class ModeDeviations:
         first, second = deviate(np.stack([speed, slopes[1] + slope[1] * speed]), self.covariance)
         return float(first), float(second)
 
-    def of_margin(self, margin: StabilityMargin, draws: int = 400) -> tuple[float, float | None]:
+    def of_margin(
+        self, margin: StabilityMargin, draws: int = 400, most_damping: float = 0.5
+    ) -> tuple[float, float | None]:
         """Deviations of the largest growth (1/s) and of the smallest logarithmic decrement.
 
         A smallest of several is no smooth function: another mode may take the place of the one that was found. So it is
         the root mean square difference from what was found, over seeded ``draws`` of all modes moved to first order
         (400 give a standard deviation to 4 %). Modes near critical damping are not among them: there an eigenvalue goes
-        with the root of what it depends on, and no first order holds.
+        with the root of what it depends on, and no first order holds. Those whose damping ratio is above
+        ``most_damping`` hardly oscillate: their amplification factor is below 1, and API 617 asks for no margin below
+        2.5.
         """
         modes, count = self.modes, len(self.covariance)
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = root @ np.random.default_rng(0).standard_normal((count, draws))
-        whirling = find_whirling(modes)
+        ratio = modes.logarithmic_decrement / np.hypot(2.0 * math.pi, modes.logarithmic_decrement)
+        whirling = np.abs(ratio) <= most_damping  # false for NaN
         growing = (modes.growth[:, None] + self.by_growth @ drawn).max(axis=0)
         real = modes.eigenvalues.real[whirling][:, None] + self.by_number.real[whirling] @ drawn  # (modes, draws)
         largest = np.maximum(real.max(axis=0, initial=-np.inf), growing)

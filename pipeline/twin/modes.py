@@ -161,15 +161,6 @@ def judge_growth(growth: float, deviation: float, deviations: float = 2.0) -> St
     return Stability.UNSTABLE if growth > deviations * deviation else Stability.NOT_TOLD
 
 
-def find_whirling(modes: WhirlModes, most_damping: float = 0.5) -> np.ndarray:
-    """(S, K) mask of the modes whose damping ratio is ``most_damping`` at most.
-
-    The others hardly oscillate: their amplification factor is below 1, and API 617 asks for no margin below 2.5.
-    """
-    ratio = modes.logarithmic_decrement / np.hypot(2.0 * math.pi, modes.logarithmic_decrement)
-    return np.asarray(np.abs(ratio) <= most_damping)  # false for NaN
-
-
 def find_reached(modes: WhirlModes) -> np.ndarray:
     """(S, K) mask of the modes up to twice the top speed: those above are reached by no unbalance."""
     return modes.frequency <= 2.0 * modes.speeds.max()  # false for NaN

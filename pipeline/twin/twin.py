@@ -46,7 +46,9 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
     Raises ConfigError for conditions, nodes or a speed that the machine lacks, and for an unbalance that a run has.
     """
     dataset, unseen, asked = measurement.dataset, list_unseen(machine), machine.prediction
-    operating = choose_operating(machine, dataset.operating)
+    operating = asked.operating or pick_middle(dataset.operating)
+    require_conditions(OPERATING, operating, dataset.operating)
+    operating = {name: operating[name] for name in dataset.operating}
     require_nodes(measurement.rotor, "machine.prediction", [asked.node, *(unbalance.node for unbalance in unseen)])
     speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
     if (run := find_same_run(unseen, dataset.excitations)) is not None:
@@ -89,18 +91,6 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         deviations = deviate_modes(modes, points, identified, *given)
     behaviour["identified"] = Behaviour(modes, deviations)
     return Twin(systems, vibration, behaviour, at, operating)
-
-
-def choose_operating(machine: MachineConfig, measured: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """The conditions of the prediction, SI: the configured ones, or those in the middle of the ``measured`` ones (S,).
-
-    Empty for data without conditions. Raises ConfigError for a condition that is missing, or that the data lack.
-    """
-    given = machine.prediction.operating
-    if not given:
-        return pick_middle(measured)
-    require_conditions(OPERATING, given, measured)
-    return {name: given[name] for name in measured}
 
 
 def _truth_at(
