@@ -161,11 +161,9 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
             )
         angle = np.radians(phase) if said.phase_unit == "deg" else phase
         order, size = to_motion(said.unit, config.probes[name].scale)
-        vectors, at = (
-            to_vectors(amplitude, angle, size, said.amplitude, said.phase),
-            rows[named.speed] * RAD_S[said.speed],
-        )
-        tracks[name] = sort_track(at, to_displacement(vectors, order, run.frequencies(at)), where)
+        vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
+        speeds = rows[named.speed] * RAD_S[said.speed]
+        tracks[name] = sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
         phases.append(phase)
     notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
     notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
