@@ -100,9 +100,9 @@ def propose_weights(
     """
     speed_index = np.repeat(np.arange(len(vibration.speeds)), len(vibration.channels))
     read = ~np.isnan(state.shown) & (np.isin(speed_index, speeds) if len(speeds) else True)
-    covariance = _cover_record(vibration, state.weights)
-    inside = covariance[np.ix_(read, read)]
-    start = predict_one(vibration, state.weights)
+    means, spreads = vibration.predict(state.weights[None])
+    record = vibration.noise.covariance(np.ones(1))[0]
+    start, inside = means[0], (spreads[0] + record)[np.ix_(read, read)]  # of a record with these weights
     correction = np.zeros(len(vibration.planes), dtype=complex)
     active, given = [n for n, hole in enumerate(holes) if hole], [hole for hole in holes if hole]
     weights: tuple[tuple[Weight, ...], ...] = ()
@@ -117,7 +117,8 @@ def propose_weights(
             break
         weights, correction[active] = chosen, unbalance
     by_plane = dict(zip(active, weights, strict=True))
-    after = predict_one(vibration, state.weights + correction) - start
+    means, spreads = vibration.predict((state.weights + correction)[None])
+    after = means[0] - start
     return BalanceSheet(
         weights=tuple(by_plane.get(n, ()) for n in range(len(holes))),
         correction=correction,
@@ -127,18 +128,13 @@ def propose_weights(
         circle=circle_of(vibration.noise, np.diag(spread).real),
         before=state.shown,
         after=state.shown + after,
-        half_width=vibration.noise.half_width(np.diag(_cover_record(vibration, state.weights + correction)).real),
+        half_width=vibration.noise.half_width(np.diag(spreads[0] + record).real),
     )
 
 
 def predict_one(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray:
     """(D,) complex m, the mean vector with the ``weights`` (N,) kg m."""
     return vibration.predict(weights[None])[0][0]
-
-
-def _cover_record(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray:
-    """(D, D) of one record with these weights about its prediction."""
-    return vibration.predict(weights[None])[1][0] + vibration.noise.covariance(np.ones(1))[0]
 
 
 def _invert(influence: np.ndarray, covariance: np.ndarray, most: float = 1e14) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ and against it, and which run or mistake is worth trying.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -84,7 +85,7 @@ class Judgement:
                     "verdict": judged.verdict.value,
                     "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
                     "next": judged.next,
-                    "checks": _finite(judged.checks),
+                    "checks": json.loads(json.dumps(judged.checks, default=float), parse_constant=lambda _: None),
                 }
                 for judged in self.verdicts
             ],
@@ -251,12 +252,3 @@ def describe_run(acting: Sequence[Excitation]) -> str:
             what += f" at {np.degrees(weight.phase):.0f} deg"
         phrases.append(what)
     return " and ".join(phrases)
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value
