@@ -145,7 +145,9 @@ def find_header(rows: Sequence[Sequence[Any]], names: Collection[str], stated: i
         widths = Counter(len(row) for row in rows if len(row) > 1)
         width = widths.most_common(1)[0][0] if widths else 1
         long = [i for i, row in enumerate(rows) if len(row) == width and any(row)]
-        numbers = next((i for i in long if _has_numbers(rows[i])), 1)
+        cells = {i: [str(cell).strip() for cell in rows[i] if cell not in (None, "")] for i in long}
+        mostly = (i for i in long if 2 * sum(bool(_NUMBER.fullmatch(cell)) for cell in cells[i]) > len(cells[i]))
+        numbers = next(mostly, 1)
         last = max((i for i in long if i < numbers and not _has_units(rows[i])), default=0)
         header = shared.index(max(shared)) if any(shared) else last
     units = 0
@@ -164,12 +166,6 @@ def name_columns(rows: Sequence[Sequence[Any]], header: int) -> list[str]:
     units = after if _has_units(after) else []
     every = list(zip_longest(groups, names, units, fillvalue=""))[: len(names)]
     return [" ".join(filter(None, parts)) if names.count(parts[1]) > 1 else parts[1] for parts in every]
-
-
-def _has_numbers(row: Sequence[Any]) -> bool:
-    """Whether most cells that are not blank are numbers."""
-    cells = [str(cell).strip() for cell in row if cell not in (None, "")]
-    return 2 * sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
 
 
 _UNITS = {

@@ -10,7 +10,7 @@ Legend: S speeds, P probes, R runs, N nodes.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -137,20 +137,17 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead
         for node in dict.fromkeys(node for node, _ in channels)
         if not set(list_directions((node,))) <= set(channels)
     ]
-    return MeasuredRuns(dataset, recorded, runs, _join_alike(notes), sweeps)
-
-
-def _join_alike(notes: Sequence[str]) -> tuple[str, ...]:
-    """Each once: what is said of several files in the same words is said of the first, with the names of the others."""
+    # What is said of several files in the same words is said of the first, with the names of the others.
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
         file = re.match(r"'[^']+' ", note)
         alike.setdefault(note[file.end() :] if file else note, []).append(file[0].strip(" '") if file else "")
-    return tuple(
+    told = tuple(
         (f"'{files[0]}' {said}" if files[0] else said)
         + "".join(f"; so for '{Path(other).name}'" for other in files[1:])
         for said, files in alike.items()
     )
+    return MeasuredRuns(dataset, recorded, runs, told, sweeps)
 
 
 def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:

@@ -103,20 +103,20 @@ def _judge(
     names = tuple(name for name, identified in zip(members.unknowns.names, present, strict=True) if identified)
     matrix = members.matrix[m][..., present]
     singular, free = decompose(unit_columns(matrix))
-    # Of all speeds together, for unknowns that are the same at every speed.
-    every = (matrix / np.abs(matrix).max(axis=(1, 2), keepdims=True)).reshape(-1, matrix.shape[-1])
-    whole = int(np.linalg.matrix_rank(unit_columns(every), tol=DEPENDENT)) if constant else 0
     rank = count_determined(singular)
-    at_every_speed = (rank == len(names)).all()
+    somewhere = (rank == len(names)).any()
+    if constant and not somewhere:  # all speeds together tell unknowns that are the same at every speed
+        every = (matrix / np.abs(matrix).max(axis=(1, 2), keepdims=True)).reshape(-1, matrix.shape[-1])
+        somewhere = np.linalg.matrix_rank(unit_columns(every), tol=DEPENDENT) == len(names)
     ranks, conditions = [], []  # of the orbits (x, y) of the runs, each of unit size; the best bearing's counts
     for b in bearings:
         orbits, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
         ranks.append(count_determined(orbits))
         conditions.append(condition_number(orbits))
     orbit_rank, orbit_condition = np.max(ranks, axis=0), np.min(conditions, axis=0)
-    if at_every_speed:
+    if (rank == len(names)).all():
         verdict, reason = Solvability.IDENTIFIABLE, ""
-    elif (rank == len(names)).any() or whole == len(names):
+    elif somewhere:
         missing = int((rank < len(names)).sum())
         verdict = Solvability.ACROSS_SPEEDS
         reason = f"at {missing} of {len(rank)} speeds by themselves the runs do not determine {', '.join(names)}"

@@ -119,7 +119,7 @@ def evaluate_at(
             f"{write_range(table.speeds[~table.bounded])} they leave all bounds: speeds were held out there, and "
             "nothing holds the fitted functions; train without training.holdout_range to predict"
         )
-    data = identified.table(updated.updated_known)
+    data = identified.table(updated.updated_known) if wanted else table
     for b, c in np.ndindex(len(data.nodes), len(COEFFICIENTS)) if wanted else ():
         name, sizes, size = COEFFICIENTS[c], np.abs(table.values[b, :, c]), np.abs(data.values[b, :, c])
         lost = is_direct(name) and bool((sizes < size.min() / far).any())
