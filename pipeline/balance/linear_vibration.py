@@ -53,11 +53,6 @@ def circle_radius(variance: np.ndarray, freedom: float, level: float = 0.95) -> 
     return np.asarray(np.sqrt(factor * np.asarray(variance)))
 
 
-def circle_of(noise: NoiseLevels, variance: np.ndarray) -> np.ndarray:
-    """:func:`circle_radius` with the tails of conditions."""
-    return circle_radius(noise.stretch * np.asarray(variance), noise.tail or noise.freedom)
-
-
 def bound_size(vectors: np.ndarray, radius: np.ndarray, level: float = 0.95) -> np.ndarray:
     """What the size of each complex number about ``vectors`` exceeds with 5 % chance.
 

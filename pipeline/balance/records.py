@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.balance.linear_vibration import LinearVibration, circle_of, judge_distance
+from pipeline.balance.linear_vibration import LinearVibration, circle_radius, judge_distance
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import SYNCHRONOUS
 from pipeline.errors import DataError, nearest
@@ -195,15 +195,15 @@ def predict_records(records: Records, vibration: LinearVibration) -> PredictedRe
     at = match_speeds(records.speeds, vibration.speeds, records.source)
     channels = [vibration.channels.index(channel) for channel in records.channels]
     distinct, groups = np.unique(weights, axis=0, return_inverse=True)
-    mean, covariance = vibration.predict(distinct)
-    variance = np.einsum("cdd->cd", covariance).real + np.diag(vibration.noise.covariance(np.ones(1))[0]).real
+    (mean, covariance), noise = vibration.predict(distinct), vibration.noise
+    variance = np.einsum("cdd->cd", covariance).real + np.diag(noise.covariance(np.ones(1))[0]).real
     place = at[:, None] * len(vibration.channels) + np.array(channels)
     rows = groups.reshape(-1)[:, None]
     predicted = mean[rows, place]
     return PredictedRecords(
         mean=predicted,
-        deviation=np.sqrt(vibration.noise.stretch * variance[rows, place] / 2),
-        half_width=vibration.noise.half_width(variance[rows, place]),
-        circle=circle_of(vibration.noise, variance[rows, place]),
+        deviation=np.sqrt(noise.stretch * variance[rows, place] / 2),
+        half_width=noise.half_width(variance[rows, place]),
+        circle=circle_radius(noise.stretch * variance[rows, place], noise.tail or noise.freedom),
         off=records.displacement - predicted,
     )

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.balance.correction import Holes, Weight, choose_weights
-from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_of
+from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_radius
 from pipeline.config.balance import BalanceConfig
 from pipeline.data.conditions import Conditions
 from pipeline.errors import ConfigError, nearest
@@ -101,7 +101,7 @@ def propose_weights(
     speed_index = np.repeat(np.arange(len(vibration.speeds)), len(vibration.channels))
     read = ~np.isnan(state.shown) & (np.isin(speed_index, speeds) if len(speeds) else True)
     means, spreads = vibration.predict(state.weights[None])
-    record = vibration.noise.covariance(np.ones(1))[0]
+    noise, record = vibration.noise, vibration.noise.covariance(np.ones(1))[0]
     start, inside = means[0], (spreads[0] + record)[np.ix_(read, read)]  # of a record with these weights
     correction = np.zeros(len(vibration.planes), dtype=complex)
     active, given = [n for n, hole in enumerate(holes) if hole], [hole for hole in holes if hole]
@@ -125,10 +125,10 @@ def propose_weights(
         unbalance=inverse @ state.remove[read],
         remaining=inverse @ (state.remove + after)[read],
         covariance=spread,
-        circle=circle_of(vibration.noise, np.diag(spread).real),
+        circle=circle_radius(noise.stretch * np.diag(spread).real, noise.tail or noise.freedom),
         before=state.shown,
         after=state.shown + after,
-        half_width=vibration.noise.half_width(np.diag(spreads[0] + record).real),
+        half_width=noise.half_width(np.diag(spreads[0] + record).real),
     )
 
 

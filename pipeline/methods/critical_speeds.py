@@ -73,25 +73,24 @@ def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     return nearest, run, forces[:, translation_dof(excited[0], column(name)), run]
 
 
-def _find_crossings(data: Measurement, readings: np.ndarray, places: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
-    """(D,) critical speeds, rad/s, of readings (S, P, R); NaN where there is none."""
-    return np.array([_find_crossing(data.dataset.speeds, force / readings[:, p, r]) for p, r, force in places])
-
-
-def _find_crossing(speeds: np.ndarray, apparent: np.ndarray, most: int = 5) -> float:
-    """Where the real part of the apparent stiffness (S,), over the speed squared, first falls through zero; or NaN.
+def _find_crossings(
+    data: Measurement, readings: np.ndarray, places: list[tuple[int, int, np.ndarray]], most: int = 5
+) -> np.ndarray:
+    """(D,) critical speeds, rad/s, of readings (S, P, R): where the real part of the apparent stiffness, over the speed
+    squared, first falls through zero; NaN where it does not.
 
     A straight line is fitted through at most so many speeds on either side.
     """
-    flexibility = apparent.real / speeds**2
-    falls = np.flatnonzero((flexibility[:-1] > 0) & (flexibility[1:] <= 0))
-    if not len(falls):
-        return float("nan")
-    s = int(falls[0])
-    reach = min(most, max(1, len(speeds) // 60))
-    near = slice(max(s + 1 - reach, 0), s + 1 + reach)
-    slope, offset = np.polyfit(speeds[near] - speeds[s], flexibility[near], 1)
-    return float(speeds[s] - offset / slope)
+    speeds, crossings = data.dataset.speeds, np.full(len(places), np.nan)
+    for d, (p, r, force) in enumerate(places):
+        flexibility = (force / readings[:, p, r]).real / speeds**2
+        falls = np.flatnonzero((flexibility[:-1] > 0) & (flexibility[1:] <= 0))
+        if len(falls):
+            s, reach = int(falls[0]), min(most, max(1, len(speeds) // 60))
+            near = slice(max(s + 1 - reach, 0), s + 1 + reach)
+            slope, offset = np.polyfit(speeds[near] - speeds[s], flexibility[near], 1)
+            crossings[d] = speeds[s] - offset / slope
+    return crossings
 
 
 def _model_machines(

@@ -12,6 +12,8 @@ Legend: S speeds, P channels, R runs, B bearings, U unknowns, M members (see :mo
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
@@ -47,13 +49,23 @@ def residual_sensitivity(
     rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, at_once: int = 64
 ) -> np.ndarray:
     """(S, R, 2 B, P) derivative of the residual by the measured displacements, N/m, of so many speeds ``at_once``."""
-    result = np.empty(
-        (len(dataset.speeds), len(dataset.runs), 2 * len(bearings.nodes), len(dataset.channels)), dtype=complex
-    )
-    for runs, w in group_runs(dataset.frequencies):
-        for start in range(0, len(w), at_once):
-            few = np.arange(start, min(start + at_once, len(w)))
-            result[np.ix_(few, runs)] = _sensitivity(rotor, dataset, bearings.at(few), w[few])[:, None]
+    (measured, resolution), rows = dataset.resolution(), bearing_dof(rotor)
+    unmeasured, place = np.setdiff1d(np.arange(rotor.n_dof), measured), {dof: p for p, dof in enumerate(measured)}
+    shape = (len(dataset.speeds), len(dataset.runs), 2 * len(bearings.nodes), len(dataset.channels))
+    result = np.empty(shape, dtype=complex)
+    for runs, every in group_runs(dataset.frequencies):
+        for start in range(0, len(every), at_once):
+            few = np.arange(start, min(start + at_once, len(every)))
+            w, near = every[few], bearings.at(few)
+            unit = np.broadcast_to(np.eye(len(measured)), (len(w), len(measured), len(measured))).astype(complex)
+            slope = apply(rotor, rows.ravel(), measured, w, near.speeds, unit)
+            if len(unmeasured):
+                carried = apply(rotor, unmeasured, measured, w, near.speeds, unit)
+                followed = solve(banded(rotor, unmeasured), w, near.speeds, carried)
+                slope -= apply(rotor, rows.ravel(), unmeasured, w, near.speeds, followed)
+            for (b, impedance), i, j in itertools.product(enumerate(near.impedance(w)), range(2), range(2)):
+                slope[:, 2 * b + i, place[rows[b, j]]] += impedance[:, i, j]
+            result[np.ix_(few, runs)] = (slope @ resolution)[:, None]
     return result
 
 
@@ -67,24 +79,6 @@ def bearing_rows(rotor: RotorModel, dataset: VibrationDataset, unknowns: Unknown
         factor = np.ones(dataset.frequencies.shape) if is_stiffness(name) else 1j * dataset.frequencies
         result[:, :, 2 * b + row(name), u] += sign * factor[..., None] * seen
     return result
-
-
-def _sensitivity(rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, w: np.ndarray) -> np.ndarray:
-    """(S, 2 B, P) :func:`residual_sensitivity` at the frequencies ``w`` (S,)."""
-    (measured, resolution), rows = dataset.resolution(), bearing_dof(rotor)
-    unmeasured = np.setdiff1d(np.arange(rotor.n_dof), measured)
-    unit = np.broadcast_to(np.eye(len(measured)), (len(w), len(measured), len(measured))).astype(complex)
-    result = apply(rotor, rows.ravel(), measured, w, bearings.speeds, unit)
-    if len(unmeasured):
-        carried = apply(rotor, unmeasured, measured, w, bearings.speeds, unit)
-        followed = solve(banded(rotor, unmeasured), w, bearings.speeds, carried)
-        result -= apply(rotor, rows.ravel(), unmeasured, w, bearings.speeds, followed)
-    place = {dof: p for p, dof in enumerate(measured)}
-    for b, impedance in enumerate(bearings.impedance(w)):
-        for i in range(2):
-            for j in range(2):
-                result[:, 2 * b + i, place[rows[b, j]]] += impedance[:, i, j]
-    return np.asarray(result @ resolution)
 
 
 def whiten(residual: LinearResidual, covariance: np.ndarray) -> LinearResidual:

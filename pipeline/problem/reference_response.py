@@ -61,7 +61,8 @@ def _solved(
     """
     speeds, places = dataset.speeds, bearing_places(rotor)
     held = np.eye(rotor.n_dof)[:, casing_dof(rotor).ravel()]
-    impedance, loads = _impedance(rotor, len(speeds), reference), np.hstack([places.loads(rotor.n_dof), held])
+    impedance = places.spread(np.broadcast_to(reference * np.eye(2), (len(places.dof), len(speeds), 2, 2)))
+    loads = np.hstack([places.loads(rotor.n_dof), held])
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     if bow is not None:
         forces = forces + bow[:, None] * turns_with_rotor(dataset)
@@ -87,12 +88,6 @@ def _solved(
             if (frequencies != w).any():
                 response[..., [i]] = solve(system, frequencies, speeds, right[..., [i]], impedance, places.dof)
         yield runs, w, len(turning_planes), response
-
-
-def _impedance(rotor: RotorModel, n_speeds: int, reference: complex) -> np.ndarray:
-    """(B, S, k, k) of the reference bearings at their places."""
-    blocks = np.broadcast_to(reference * np.eye(2), (len(rotor.bearing_nodes), n_speeds, 2, 2))
-    return bearing_places(rotor).spread(blocks)
 
 
 def _show(rotor: RotorModel, response: np.ndarray) -> np.ndarray:
@@ -141,7 +136,8 @@ def response_variations(
     sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
     places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
-    impedance, blocks, rows = _impedance(updated, len(speeds), reference), [], places.loads(updated.n_dof).T
+    impedance = places.spread(np.broadcast_to(reference * np.eye(2), (len(places.dof), len(speeds), 2, 2)))
+    blocks, rows = [], places.loads(updated.n_dof).T
     for runs, w, n_planes, solved in _solved(updated, data, reference, planes, bow):
         at_bearings, at_sensors, forced = [], [], slice(0, len(runs))
         for t, parameter in enumerate(parameters):
