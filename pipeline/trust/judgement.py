@@ -171,10 +171,8 @@ def judge(
 
     common, nodes, fit = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, evidence.fit
     unseen = {kind: fit[kind] for kind in ("held_out_speeds", "held_out_runs") if kind in fit}
-    rpm, most_moved = (
-        to_rpm(evidence.answer.speeds),
-        max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None),
-    )
+    rpm = to_rpm(evidence.answer.speeds)
+    most_moved = max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None)
     shared = {
         "mismatch": {
             "chi_square_over_expected": fit["chi_square"]["value"] / max(fit["chi_square"]["expected"], 1.0),
