@@ -44,7 +44,7 @@ def update_excitations(
 ) -> VibrationDataset:
     """The data set with the weights at parameters ``values`` (T,)."""
     shifts = _shifts(parameters, values)
-    updated = [_vector(weight, _act(weight, i, shifts)) for i, weight in number_excitations(dataset.excitations)]
+    updated = [_vector(weight, _act(weight, i, shifts)[0]) for i, weight in number_excitations(dataset.excitations)]
     return replace(dataset, excitations=tuple(updated)) if shifts else dataset
 
 
@@ -65,7 +65,9 @@ def force_change(
         else:
             acts = weight.kind == "unbalance" and parameter.detail in ("", *PARTS, write_label(weight))
         if acts:
-            changes.append(_vector(weight, parameter.deviation * _act(weight, i, shifts, parameter)))
+            unit = PARTS[parameter.detail] if parameter.kind == "weight_law" else 1.0
+            slope = _act(weight, i, shifts)[1][parameter.kind] * unit
+            changes.append(_vector(weight, parameter.deviation * slope))
     return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
 
 
@@ -79,8 +81,10 @@ def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts
     return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in _OF_ANY}
 
 
-def _act(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelParameter | None = None) -> complex:
-    """What a weight acts as, ``turn U (1 + a |U|)`` of its size U; or the derivative of that by the ``parameter``."""
+def _act(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[complex, dict[str, complex]]:
+    """What a weight acts as, ``turn U (1 + a |U|)`` of its size U, and the derivative of that by each kind of number;
+    by the parts of a complex one over the unit of each.
+    """
     common_shifts: _Shifts = shifts if excitation.kind == "unbalance" else {}
     law = sum((unit * common_shifts.get(("weight_law", name, 0), 0.0) for name, unit in PARTS.items()), 0j)
     common, label = common_shifts.get(("weight_angle", "", 0), 0.0), write_label(excitation)
@@ -89,16 +93,13 @@ def _act(excitation: Excitation, i: int, shifts: _Shifts, parameter: ModelParame
     angle = excitation.phase + common + shifts.get(("unbalance_phase", excitation.run, i), 0.0)
     share = 1 + shifts.get(("unbalance_magnitude", excitation.run, i), 0.0)
     size, turn = float(excitation.magnitude * np.exp(gain) * share), complex(np.exp(1j * angle))
-    effective = turn * size * (1 + law * size)
-    if parameter is None:
-        return effective
-    if parameter.kind == "unbalance_magnitude":
-        return turn * (size / share) * (1 + 2 * law * size)
-    if parameter.kind in ("weight_gain", "label_gain"):
-        return turn * size * (1 + 2 * law * size)
-    if parameter.kind == "weight_law":
-        return turn * size**2 * PARTS[parameter.detail]
-    return 1j * effective
+    effective, by_size = turn * size * (1 + law * size), turn * size * (1 + 2 * law * size)
+    return effective, {
+        **dict.fromkeys(("unbalance_phase", "weight_angle", "label_angle"), 1j * effective),
+        **dict.fromkeys(("weight_gain", "label_gain"), by_size),
+        "unbalance_magnitude": turn * (size / share) * (1 + 2 * law * size) if share else 0j,
+        "weight_law": turn * size**2,
+    }
 
 
 def _vector(excitation: Excitation, value: complex) -> Excitation:

@@ -47,19 +47,18 @@ class NoiseLevels:
         """Half of the interval of the real and of the imaginary part, for complex variances; infinite for a guess."""
         return np.asarray(student_factor(self.tail or self.freedom, level) * np.sqrt(self.stretch * variance / 2))
 
-    def covariance(self, counts: np.ndarray | None = None) -> np.ndarray:
-        """(C, D, D) complex, m^2, of means of ``counts`` (C,) records; None for those of the runs."""
-        counts = np.asarray(self.counts if counts is None else counts)
-        return np.asarray(self.condition + spread_blocks(self.record) / counts[:, None, None])
+    def covariance(self, counts: np.ndarray) -> np.ndarray:
+        """(C, D, D) complex, m^2, of means of ``counts`` (C,) records."""
+        return np.asarray(self.condition + spread_blocks(self.record) / np.asarray(counts)[:, None, None])
 
     def deviation(self) -> np.ndarray:
         """(S, P, R) m, root mean square of each reading's noise."""
-        variance = np.diagonal(self.covariance(), axis1=1, axis2=2).real  # (R, D)
+        variance = np.diagonal(self.covariance(self.counts), axis1=1, axis2=2).real  # (R, D)
         return np.asarray(np.sqrt(variance).reshape(-1, *self.record.shape[:2]).transpose(1, 2, 0))
 
     def mixing(self) -> np.ndarray:
         """(R, D, D): it makes readings over their own deviations independent."""
-        covariance = self.covariance()
+        covariance = self.covariance(self.counts)
         spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
         correlation = covariance / spread[:, :, None] / spread[:, None, :]
         return np.asarray(np.linalg.inv(np.linalg.cholesky(correlation)))

@@ -84,17 +84,17 @@ def gather(
         f"probe {name}": fitted & (np.arange(len(names)) == p)[:, None] for p, name in enumerate(names) if pairs
     }
     of_runs, of_probes = (
-        {name: mask for name, mask in masks.items() if linear.suffices_without(mask)}
+        {name: left for name, mask in masks.items() if (left := linear.leave_out(mask))}
         for masks in (every_run, every_probe)
     )
     return Evidence(
         deviations=Deviations(answer, deviate(uncertainty.covariance), "by this fit"),
         by_fit=deviate(uncertainty.without_tolerances),
         tolerances={name: deviate(unfitted.select(name).covariance()) for name in unfitted.names},
-        moves={name: linear.leave_out(mask) for name, mask in (of_runs | of_probes).items()},
+        moves={name: (move, explained) for name, (move, explained, _) in (of_runs | of_probes).items()},
         fit=fit,
         misfit=measure_misfit(fit),
-        predicted={name.removeprefix("run "): linear.predict_without(mask) for name, mask in of_runs.items()},
+        predicted={name.removeprefix("run "): square for name, (_, _, square) in of_runs.items()},
         superposed=compare_superposed(measurement, factor),
         priors=dict(
             zip((p.name for p in measurement.parameters), map(float, uncertainty.parameters.tolist()), strict=True)

@@ -47,45 +47,31 @@ class LinearisedFit:
         """b, (Z,)."""
         return cross(self.seen, self.residual[..., None])[:, 0]
 
-    def suffices_without(self, mask: np.ndarray, least: float = 1e-12) -> bool:
-        """Whether the other readings and the priors determine every weight: no combination of weights, each over what
-        all readings tell of it, is below ``least``, the rounding of a normal matrix.
-        """
-        size = np.sqrt(np.diag(self.normal))
-        return bool(np.linalg.eigvalsh(self._information_without(mask) / np.outer(size, size))[0] > least)
+    def leave_out(self, mask: np.ndarray, least: float = 1e-12) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """What the readings of ``mask`` (S, P, R) do to the fit: (B, S, 8) how the coefficients move without them, and
+        the deviation that noise explains; their mean square error, predicted from the others, over what noise explains.
 
-    def leave_out(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(B, S, 8) how the coefficients move without the readings of ``mask``, and the deviation that noise explains.
-
-        The variance of that move is what the variance grows by (Hausman 1978).
+        The variance of that move is what the variance grows by (Hausman 1978). None where the other readings and the
+        priors do not determine every weight: a combination of weights, each over what all readings tell of it, is
+        below ``least``, the rounding of a normal matrix.
         """
-        weights, covariance = self._fit_without(mask)
+        left_out, size = mask[..., None] * self.seen, np.sqrt(np.diag(self.normal))
+        information = self.normal - cross(left_out, left_out)
+        if np.linalg.eigvalsh(information / np.outer(size, size))[0] <= least:
+            return None
+        right = self.right - cross(left_out, self.residual[..., None])[:, 0]
+        weights, covariance = np.linalg.solve(information, right), np.linalg.inv(information)
         moves = self.coefficients @ (weights - np.linalg.solve(self.normal, self.right))
-        return moves, self.deviate(covariance - np.linalg.inv(self.normal))
+        chosen = self.by_weight[mask]
+        left = self.residual[mask] - chosen @ weights
+        expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), covariance, chosen, optimize=True).real
+        spread = self.deviate(covariance - np.linalg.inv(self.normal))
+        return moves, spread, float(np.mean(np.abs(left) ** 2 / expected))
 
     def deviate(self, covariance: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations of the coefficients, from a ``covariance`` (Z, Z) of the weights."""
         variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, covariance, self.coefficients, optimize=True)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    def predict_without(self, mask: np.ndarray) -> float:
-        """Mean square error of the readings of ``mask``, predicted from the others, over what noise explains."""
-        weights, covariance = self._fit_without(mask)
-        chosen = self.by_weight[mask]
-        left = self.residual[mask] - chosen @ weights
-        expected = 1.0 + np.einsum("nz,zy,ny->n", chosen.conj(), covariance, chosen, optimize=True).real
-        return float(np.mean(np.abs(left) ** 2 / expected))
-
-    def _fit_without(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(Z,) the weights' step of a fit without the readings of ``mask``, and their covariance (Z, Z)."""
-        information = self._information_without(mask)
-        right = self.right - cross(mask[..., None] * self.seen, self.residual[..., None])[:, 0]
-        return np.linalg.solve(information, right), np.linalg.inv(information)
-
-    def _information_without(self, mask: np.ndarray) -> np.ndarray:
-        """(Z, Z) of the other fitted readings and the priors."""
-        left_out = mask[..., None] * self.seen
-        return self.normal - cross(left_out, left_out)
 
 
 def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:

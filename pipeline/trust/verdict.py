@@ -9,7 +9,7 @@ Legend: S speeds, B bearings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -124,16 +124,14 @@ MODEL_MAY = (
 )
 
 
-def find_contradicted(
-    evidence: Evidence, squares: Mapping[str, float] | None = None, most: float = 3.0
-) -> dict[str, float]:
-    """Runs that contradict the sums of the others, without any model, or by other ``squares``: mean square over the
-    noise, where it is more than ``most``, and than that of the fit by as much.
+def find_contradicted(evidence: Evidence, by: str = "superposed", most: float = 3.0) -> dict[str, float]:
+    """Runs that contradict the sums of the others, without any model, or what is ``predicted`` from the others: mean
+    square over the noise, where it is more than ``most``, and than that of the fit by as much.
 
     It is at most 1 of right runs; among these, one in a thousand with few readings comes above 3.
     """
-    every = evidence.superposed if squares is None else squares
-    return {run: size for run, size in every.items() if size > most * max(1.0, evidence.misfit.size)}
+    every = getattr(evidence, by).items()
+    return {run: size for run, size in every if size > most * max(1.0, evidence.misfit.size)}
 
 
 def judge_machine(evidence: Evidence) -> list[Reason]:
@@ -163,11 +161,11 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
 
 def _judge_runs(evidence: Evidence) -> list[Reason]:
     """Whether the runs agree with each other: by their sums, else by the model (see :func:`find_contradicted`)."""
-    for what, squares, doubt in (
-        ("the sum of other runs", evidence.superposed, ""),
-        ("the fit of the other runs", evidence.predicted, MODEL_MAY),
+    for what, by, doubt in (
+        ("the sum of other runs", "superposed", ""),
+        ("the fit of the other runs", "predicted", MODEL_MAY),
     ):
-        if bad := find_contradicted(evidence, squares):
+        if bad := find_contradicted(evidence, by):
             run = rank(bad)[0]
             model = "the model, and " if doubt else ""
             return [

@@ -35,9 +35,11 @@ def test_a_part_of_the_noise_is_that_of_the_part(rng: np.random.Generator) -> No
     """Its covariance has the rows and columns of the second speed alone, for the chosen run."""
     noise = some_noise(rng, np.array([1, 3, 2]))
     part = noise.select(np.array([False, True]), np.array([1]))
-    np.testing.assert_array_equal(part.covariance()[0], noise.covariance()[1][3:, 3:])
+    np.testing.assert_array_equal(part.covariance(part.counts)[0], noise.covariance(noise.counts)[1][3:, 3:])
     np.testing.assert_array_equal(part.deviation()[0, :, 0], noise.deviation()[1, :, 1])
-    np.testing.assert_array_equal(noise.select(np.arange(2), None).covariance(), noise.covariance())
+    np.testing.assert_array_equal(
+        noise.select(np.arange(2), None).covariance(noise.counts), noise.covariance(noise.counts)
+    )
 
 
 def test_noise_of_conjugated_readings_is_whitened_by_the_conjugate(rng: np.random.Generator) -> None:
@@ -52,11 +54,11 @@ def test_noise_of_conjugated_readings_is_whitened_by_the_conjugate(rng: np.rando
 def test_residuals_show_their_covariance_without_bias(rng: np.random.Generator) -> None:
     """On average over 40 sets of 60 residuals of Gaussian noise, whose fit took 12 real numbers."""
     before = some_noise(rng, np.full(60, 3))
-    truth_of = before.covariance()[0]
+    truth_of = before.covariance(before.counts)[0]
     root = np.linalg.cholesky(truth_of)
     share = np.sqrt(1 - 12 / (2 * SIZE) / 60)  # what a fit leaves of the noise
     left = (share * circular(rng, 60, SIZE) @ root.T for _ in range(40))
-    found = [follow_residuals(before, residuals, 12).covariance()[0] for residuals in left]
+    found = [follow_residuals(before, residuals, 12).covariance(before.counts)[0] for residuals in left]
     ratio = np.linalg.solve(truth_of, np.mean(found, axis=0))
     assert np.trace(ratio).real / SIZE == pytest.approx(1.0, abs=0.03)
     assert abs(ratio - np.eye(SIZE)).max() < 0.15
