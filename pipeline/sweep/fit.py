@@ -143,18 +143,25 @@ def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:
     return np.asarray(problem.columns(x) @ np.concatenate([fit.amplitudes, fit.background]))
 
 
-def _fit(problem: _Problem, starts: list[np.ndarray]) -> ModalFit:
+def _fit(problem: _Problem, starts: list[np.ndarray], blocks: int = 16) -> ModalFit:
+    """The best from the ``starts``; its covariance from leaving each of so many ``blocks`` of rows out."""
     solution = min((problem.solve(start) for start in starts), key=lambda tried: float(tried.cost))
     order = np.argsort(solution.x[::2])
     best = solution.x.reshape(-1, 2)[order].reshape(-1)
     columns, linear = problem.project(best)
     vectors = problem.run_up.vectors
     residual = vectors - columns @ linear
-    tau = _measure_correlation(residual)
+    # 1 + 2 sum of the autocorrelations up to the first that is not positive, rows.
+    products = (float((residual[lag:] * residual[:-lag].conj()).real.sum()) for lag in range(1, len(residual) // 4))
+    positive = sum(itertools.takewhile(lambda product: product > 0, products))
+    tau = 1 + 2 * positive / float((abs(residual) ** 2).sum())
+    rows = np.arange(len(vectors))
+    answers = [problem.solve(best, ~np.isin(rows, block)).x for block in np.array_split(rows, blocks)]
+    apart = np.array(answers) - np.mean(answers, axis=0)
     return ModalFit(
         frequencies=np.exp(best[::2]),
         dampings=np.exp(best[1::2]),
-        covariance=_jackknife(problem, best),
+        covariance=np.asarray((blocks - 1) / blocks * apart.T @ apart),
         amplitudes=linear[: problem.count],
         background=linear[problem.count :],
         fitted=columns @ linear,
@@ -248,20 +255,6 @@ def _list_starts(
     problem = _Problem(run_up, 1, degree)
     single = min((problem.solve(start) for start in first), key=lambda tried: tried.cost).x
     return [np.concatenate([single, [single[0] + np.log(factor), single[1]]]) for factor in apart]
-
-
-def _jackknife(problem: _Problem, best: np.ndarray, blocks: int = 16) -> np.ndarray:
-    """(2K, 2K) covariance of x from leaving each block of rows out."""
-    rows = np.arange(len(problem.run_up.speeds))
-    answers = [problem.solve(best, ~np.isin(rows, block)).x for block in np.array_split(rows, blocks)]
-    apart = np.array(answers) - np.mean(answers, axis=0)
-    return np.asarray((blocks - 1) / blocks * apart.T @ apart)
-
-
-def _measure_correlation(residual: np.ndarray) -> float:
-    """1 + 2 sum of the autocorrelations up to the first that is not positive, rows."""
-    products = (float((residual[lag:] * residual[:-lag].conj()).real.sum()) for lag in range(1, len(residual) // 4))
-    return 1 + 2 * sum(itertools.takewhile(lambda product: product > 0, products)) / float((abs(residual) ** 2).sum())
 
 
 def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
