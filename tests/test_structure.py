@@ -56,7 +56,6 @@ AT_ONCE = {"numpy", "scipy.linalg", "pydantic"}
 
 ALL_HEAVY = {
     "tracking/predictor.py": "subclasses MLflow's PythonModel, and is itself imported by functions only",
-    "config/conf_source.py": "subclasses Hydra's source of files, and is itself imported by a function only",
 }
 """Modules that import heavy packages at once, and why that costs nobody."""
 

@@ -77,13 +77,11 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
     inside a running job."""
     from hydra import version
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
-    from hydra._internal.sources_registry import SourcesRegistry
     from hydra._internal.utils import create_config_search_path
     from hydra.core.plugins import Plugins
     from hydra.core.singleton import Singleton
     from hydra.core.utils import setup_globals
 
-    from pipeline.config.conf_source import ConfSource
     from pipeline.config.own_machines import store_folder
 
     if not CONF.is_dir():
@@ -96,8 +94,7 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
         setup_globals()
         if folder:
             store_folder(folder)
-        SourcesRegistry.instance().register(ConfSource)
-        yield ConfigLoaderImpl(create_config_search_path(f"{ConfSource.scheme()}://{CONF}"))
+        yield ConfigLoaderImpl(create_config_search_path(str(CONF)))
     finally:
         Singleton.set_state(state)
 
