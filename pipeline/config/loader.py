@@ -37,7 +37,6 @@ STAGES: dict[str, str] = {
     "tune": "search hyperparameters on held-out speeds, and say which values are the best",
     "promote": "let training use what a study found (tuning.study); what changes is said first",
     "dashboard": "put the committed studies into the database that optuna-dashboard shows",
-    "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
     "robustness": "train from many initial guesses or seeds at once",

@@ -127,13 +127,6 @@ DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 Sampler = Literal["tpe", "random", "gp"]
 
 
-class ComparisonConfig(Section):
-    """Studies that ``stage=samplers`` makes: each sampler with each seed."""
-
-    samplers: tuple[Sampler, ...] = Field(min_length=1)
-    seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
-
-
 class HeldOutLoss(Section):
     """Medians of the held-out loss over the seeds of a study; null where most seeds diverged."""
 
@@ -160,7 +153,6 @@ class TuningConfig(Section):
     changed: Literal["refuse", "restart"]
     timeout_seconds: PositiveFloat
     heartbeat_seconds: PositiveInt
-    comparison: ComparisonConfig
     space: dict[DimensionName, Dimension]
 
     @property

@@ -18,10 +18,11 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.console import say, table
+from pipeline.reporting.console import say, table, warn
 from pipeline.rotor.parameters import OF_SUPPORT, UNITS
+from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
-from pipeline.write_numbers import format_engineering, write_number
+from pipeline.write_numbers import format_engineering, write_number, write_percent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -301,3 +302,46 @@ def _describe_correction(
     out = list_contradicted(coefficients)
     against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"
     return f"The network corrects the law of node {node} by {shown} (root mean square). {against}."
+
+
+def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """A row a coefficient."""
+    every = judged["verdicts"]
+    columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
+    return columns | {
+        "verdict": [entry["verdict"] for entry in every],
+        "band_percent": [_read_band(entry) for entry in every],
+        "reason": [" ".join(entry["reasons"]) for entry in every],
+        "next": [entry["next"] or "" for entry in every],
+    }
+
+
+def _read_band(entry: Mapping[str, Any]) -> float:
+    """Half of the 95 % band of a coefficient in percent; NaN where it was not checked."""
+    percent = entry["checks"].get("band", {}).get("percent")
+    return np.nan if percent is None else float(percent)
+
+
+def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
+    """Every coefficient, bearing and the whole, with reasons and the next step."""
+    rows = [
+        [
+            f"node {entry['node']} {entry['coefficient']}",
+            entry["verdict"],
+            "" if np.isnan(band := _read_band(entry)) else write_percent(band / 100),
+            entry["reasons"][0],
+        ]
+        for entry in judged["verdicts"]
+    ]
+    table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- (95 %)", "why"], rows)
+    for entry in judged["bearings"]:
+        say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
+    whole = judged["machine"]
+    lines = [
+        f"{name}: {whole['verdict']}. {whole['reason']}",
+        *([f"next: {whole['next']}"] if whole["next"] else []),
+        *([f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []),
+    ]
+    say("\n".join(lines))
+    if whole["reservation"]:
+        warn(f"{name}: {whole['reservation']}")

@@ -13,15 +13,15 @@ from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.tuning import Dimension, HeldOutLoss, Value
 from pipeline.data.tables import write_table
 from pipeline.files import write_json, write_text
-from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel, shade
-from pipeline.reporting.matplotlib_figures import write_figure, write_panel
+from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.trials_file import TRIALS, format_trials
 from pipeline.write_numbers import write_number
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
-_LOSS = "held-out loss\n(over the bearing force, or the noise)"
+HELD_OUT = "held-out loss\n(over the bearing force, or the noise)"
 
 
 SUMMARY = "summary.json"
@@ -94,7 +94,7 @@ def _draw_history(trials: Sequence[TrialSummary]) -> Panel:
     best = np.minimum.accumulate(losses[complete])
     steps = np.repeat(numbers[complete], 2)[1:], np.repeat(best, 2)[:-1]
     curves.append(Curve(*steps, "best so far" if complete.any() else "", GREY))
-    return Panel("", "trial (0 is the configured default)", [Axes(curves, _LOSS, scale="log")], wide=True)
+    return Panel("", "trial (0 is the configured default)", [Axes(curves, HELD_OUT, scale="log")], wide=True)
 
 
 def _draw_curves(trials: Sequence[TrialSummary]) -> Panel:
@@ -106,7 +106,7 @@ def _draw_curves(trials: Sequence[TrialSummary]) -> Panel:
         if trial.number == 0:
             colour, label, look = GREEN, "the configured default", {"width": 2.8}
         curves.append(Curve(x, y, label, colour, "solid", ".", full=True, **look))
-    return Panel("", "part of the last optimiser's epochs (%)", [Axes(curves, _LOSS, scale="log")], wide=True)
+    return Panel("", "part of the last optimiser's epochs (%)", [Axes(curves, HELD_OUT, scale="log")], wide=True)
 
 
 def _draw_importance(importances: Mapping[str, float]) -> Panel:
@@ -226,22 +226,10 @@ def _draw_finalists(finalists: Sequence[Finalist]) -> Panel:
     return Panel(
         "",
         "one dot a seed",
-        [Axes(curves, _LOSS, scale="log")],
+        [Axes(curves, HELD_OUT, scale="log")],
         x_names=["default" if f.trial == 0 else f"trial {f.trial}" for f in finalists],
         wide=True,
     )
-
-
-def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
-    """Best loss so far over the trials: the median of a sampler's studies, and their range."""
-    curves = []
-    for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
-        trials, low, high = 1 + np.arange(losses.shape[1]), losses.min(axis=0), losses.max(axis=0)
-        curves += [
-            shade(trials, low, high, colour),
-            Curve(trials, np.median(losses, axis=0), name, colour, width=2.4),
-        ]
-    return write_panel(path, Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True))
 
 
 _JOBS = {

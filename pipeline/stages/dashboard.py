@@ -7,12 +7,11 @@ from pathlib import Path
 from pipeline.errors import without_password
 from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
-from pipeline.tracking import find_trial_pages
+from pipeline.tracking import StageRecord, find_trial_pages
 from pipeline.tuning.trials_file import TRIALS, gather_studies
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Every ``studies/NAME/trials.jsonl`` in the database, and on each trial that MLflow has a note with its page."""
     config = analysis.config
     folder = Path(config.tuning.promoted).parent
@@ -23,4 +22,4 @@ def run(analysis: Analysis) -> StageOutput:
     rows = [[name, str(trials), str(linked)] for name, trials, linked in shown]
     table(f"studies in {storage}", ["study", "trials", "of these with a run in MLflow"], rows)
     say(f"look at them with: optuna-dashboard {storage}")
-    return StageOutput()
+    return StageRecord()

@@ -6,10 +6,8 @@ import hashlib
 import importlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import replace
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
@@ -17,9 +15,7 @@ from pipeline.processes import settle_torch
 from pipeline.reporting.console import warn
 from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord, track
-
-if TYPE_CHECKING:
-    import pandas as pd
+from pipeline.tracking.entries import flatten
 
 
 def use_threads(config: Config) -> None:
@@ -34,20 +30,6 @@ def use_threads(config: Config) -> None:
         )
 
 
-@dataclass(frozen=True)
-class StageOutput:
-    """A stage hands this to the records."""
-
-    metrics: Mapping[str, object] = field(default_factory=dict)  # nested; numbers are recorded by dotted names
-    tags: Mapping[str, str] = field(default_factory=dict)
-    files: Sequence[Path] = ()
-    history: Sequence[Mapping[str, float]] = ()
-    model: Path | None = None
-    example: tuple[pd.DataFrame, ...] = ()
-    children: Sequence[StageRecord] = ()
-    exit_code: int = 0
-
-
 def execute(analysis: Analysis) -> None:
     """Run a stage and record it; of ``predict`` with records of the user's own, those alone."""
     config = analysis.config
@@ -56,7 +38,7 @@ def execute(analysis: Analysis) -> None:
     record(analysis, importlib.import_module(f"pipeline.stages.{name}").run)
 
 
-def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
+def record(analysis: Analysis, run: Callable[[Analysis], StageRecord]) -> None:
     """Run and record what a stage, or a study, does. The files are complete before the first word to MLflow."""
     config, started = analysis.config, time.time()
     output = run(analysis)
@@ -66,7 +48,8 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
     apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
     shared = {key: parameters[key] for key in parameters if key not in apart}
     group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
-    stage_record = StageRecord(
+    made = replace(
+        output,
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         title=" ".join((config.stage, config.name, *config.overrides)),
@@ -75,27 +58,15 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageOutput]) -> None:
         ended=time.time(),
         parameters=parameters,
         tags={"pipeline.group": group, "seed": str(config.seed)} | dict(output.tags),
-        metrics=_flatten(output.metrics),
-        history=output.history,
+        metrics={
+            name: float(value)
+            for name, value in flatten(output.metrics)
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        },
         files=[path for path in output.files if path.exists()],
-        model=output.model,
-        example=output.example,
-        children=output.children,
         status="KILLED" if output.exit_code == 130 else "FINISHED",
     )
-    for sentence in track(stage_record, config.tracking):
+    for sentence in track(made, config.tracking):
         warn(sentence)
     if output.exit_code:
         raise SystemExit(output.exit_code)
-
-
-def _flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, float]:
-    """Numbers of a nested mapping by dotted names."""
-    result: dict[str, float] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            result |= _flatten(value, f"{name}.")
-        elif isinstance(value, (int, float)) and not isinstance(value, bool):
-            result[name] = float(value)
-    return result

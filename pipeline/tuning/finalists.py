@@ -160,19 +160,6 @@ def measure_importances(study: optuna.Study) -> dict[str, float]:
         return {}
 
 
-def replace_sampler(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
-    """The same problem as a study of its own with another sampler."""
-    tuning = problem.config.tuning.model_copy(
-        update={
-            "sampler": sampler,
-            "sampler_seed": seed,
-            "study": f"{problem.config.tuning.study} · {sampler} {seed}",
-            "pruner": "none",  # what is pruned depends on the trials before, which differ
-        }
-    )
-    return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
-
-
 def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
     tuning = problem.config.tuning

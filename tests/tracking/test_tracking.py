@@ -193,7 +193,7 @@ def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
         "from pipeline.tracking import *\n"
         "from pipeline.config.schema import TrackingConfig\n"
         "off = TrackingConfig(enabled=False, uri='sqlite:///x.db', timeout_seconds=10)\n"
-        "problems = track(StageRecord('e', 's', 0, 1, {}, {}, {}), off)\n"
+        "problems = track(StageRecord(experiment='e', stage='s', ended=1.0), off)\n"
         "assert problems == []\n"
         "heavy = {'mlflow', 'pandas', 'torch', 'filelock', 'yaml'} & sys.modules.keys()\n"
         "assert not heavy, heavy\n"
@@ -332,7 +332,9 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
         while not Path("go").exists():
             time.sleep(0.001)
         settings = TrackingConfig(enabled=True, uri="sqlite:///mlflow.db", timeout_seconds=10.0)
-        print(track(StageRecord("e", sys.argv[2], 1, 2, {"a": 1}, {}, {"m": 1.0}), settings))
+        print(track(StageRecord(
+            {"m": 1.0}, experiment="e", stage=sys.argv[2], started=1.0, ended=2.0, parameters={"a": 1}
+        ), settings))
     """
     command = [sys.executable, "-W", "error", "-c", code, str(CHECKOUT)]
     processes = [

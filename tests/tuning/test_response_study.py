@@ -14,7 +14,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.studies import pose_study
+from pipeline.stages.tune import pose_study
 from pipeline.tuning.finalists import choose, train_finalists
 from pipeline.tuning.space import find_default, translate
 from pipeline.tuning.study import StudyProblem

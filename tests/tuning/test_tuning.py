@@ -18,6 +18,8 @@ import yaml
 from conftest import assert_says, examples
 from hypothesis import given
 from hypothesis import strategies as st
+from samplers import run as compare_samplers
+from samplers import track_best
 
 from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
@@ -171,9 +173,8 @@ def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
         assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
         assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
-    for stage in ("tune", "samplers"):
-        config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
-        assert (config.model.width, config.promoted) == (48, None)
+    config = compose_config(["stage=tune", f"tuning.promoted={study}"])
+    assert (config.model.width, config.promoted) == (48, None)
 
 
 @pytest.mark.parametrize(
@@ -379,8 +380,7 @@ def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path
 @pytest.mark.usefixtures("no_pictures")
 def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As many trials of each sampler and seed, in studies of their own, and a sentence on who won."""
-    given = ["stage=samplers", "tuning.comparison.seeds=[0,1]", "tuning.comparison.samplers=[tpe,random]"]
-    run_stage(small(finished, *given))
+    compare_samplers(small(finished), ["tpe", "random"], [0, 1])
     table = pd.read_csv(finished / "study" / "samplers.csv")
     assert table.groupby(["sampler", "seed"]).size().tolist() == [5, 5, 5, 5]
     assert (table.groupby(["sampler", "seed"])["best_held_out_loss"].diff().dropna() <= 0).all()
@@ -423,7 +423,6 @@ def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], cho
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.stages.samplers import track_best
     from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
