@@ -194,19 +194,15 @@ def test_two_runs_of_the_same_unbalance_count_as_one(base: Config, refused_by_tr
     refused_by_train(files, "multiples of each other", kind=IdentifiabilityError, of=eight_of(base))
 
 
-@pytest.mark.parametrize(("stage", "law"), [*(("evaluate", law) for law in MODELLED), ("predict", MISSING)])
+@pytest.mark.parametrize(
+    ("stage", "law"), [*(("evaluate", law) for law in MODELLED), ("predict", MISSING), ("robustness", MISSING)]
+)
 def test_modelled_coefficients_that_break_a_law(stage: str, law: Law, run: Run, base: Config, mine: Path) -> None:
     words, change, came = law
     path = mine / "modelled_coefficients.csv"
     stored(change(pd.read_csv(path)), path)
     with left_alone(mine), refused(f"'{path}'", words, came):
         run(stage, base, mine)
-
-
-def test_modelled_coefficients_that_break_a_law_in_robustness(run: Run, base: Config, mine: Path) -> None:
-    (mine / "modelled_coefficients.csv").write_bytes(b"\xff\x00garbage")
-    with left_alone(mine), refused("modelled_coefficients.csv"):
-        run("robustness", base, mine)
 
 
 @pytest.mark.slow

@@ -148,14 +148,6 @@ def test_exit_code_of_what_a_stage_raises(
 
 
 @pytest.mark.slow
-def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
-    answer = python("-m", "pipeline", "experiment=ball_bearing", "stage=trian", cwd=tmp_path)
-    assert (answer.returncode, answer.stdout) == (2, "")
-    assert answer.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
 def test_an_interrupt_in_a_real_process(tmp_path: Path) -> None:
     code = (
         "import sys, time, pipeline.stages, pipeline.__main__ as command\n"

@@ -159,17 +159,6 @@ def test_everything_in_a_record_is_read_back(
     assert (tmp_path / "my project" / "mlruns" / "rotor rig" / run.info.run_id).is_dir()
 
 
-def test_stages_of_one_experiment_are_found_together(settings: TrackingConfig) -> None:
-    for stage in ("generate", "train"):
-        assert track(record(stage=stage, tags={"pipeline.group": "g1"}), settings) == []
-    assert track(record(experiment="other", tags={"pipeline.group": "g2"}), settings) == []
-    client = Logged(settings).client
-    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
-    found = client.search_runs(experiments, "tags.`pipeline.group` = 'g1'")
-    assert {run.info.run_name for run in found} == {"generate", "train"}
-    assert len({run.info.experiment_id for run in found}) == 1
-
-
 def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: TrackingConfig, tmp_path: Path) -> None:
     files = [tmp_path / folder / "metrics.json" for folder in ("a", "b")]
     for file in files:

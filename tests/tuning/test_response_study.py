@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,16 +72,6 @@ def test_a_study_that_was_stopped_goes_on_as_if_it_had_not(whole: StudyProblem, 
     assert len(values_of(problem)) == 2
     run_study(problem, silent)
     assert values_of(problem) == pytest.approx(values_of(whole), rel=1e-9)
-
-
-def test_the_truth_is_never_read(whole: StudyProblem, tmp_path: Path) -> None:
-    """Other numbers in the place of the unknown coefficients change nothing."""
-    measurement = whole.measurement
-    unknown = measurement.unknowns.identified[:, None]
-    spoilt = replace(measurement.known, values=np.where(unknown, 1e12, measurement.known.values))
-    problem = replace(stored_in(whole, tmp_path / "optuna.db"), measurement=replace(measurement, known=spoilt))
-    run_study(problem, silent)
-    assert values_of(problem) == values_of(whole)
 
 
 def test_finalists_are_trained_with_every_seed(whole: StudyProblem) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -360,24 +359,6 @@ def test_a_finished_study_is_not_made_again(finished: Path, capsys: pytest.Captu
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path) -> None:
-    """With other modelled coefficients the same trials are made and the same values promoted: only errors differ."""
-    folder = tmp_path / "lied"
-    shutil.copytree(finished / "data", folder / "data")
-    truth = pd.read_csv(folder / "data" / "modelled_coefficients.csv")
-    truth.iloc[:, 2:] = -7.0 * truth.iloc[:, 2:] + 1.0
-    truth.to_csv(folder / "data" / "modelled_coefficients.csv", index=False)
-    run_stage(small(folder))
-    told, lie = (pd.read_csv(f / "study" / "trials.csv") for f in (finished, folder))
-    same = [name for name in told if name != "training_seconds"]
-    pd.testing.assert_frame_equal(told[same], lie[same])
-    assert (folder / "study" / "best.yaml").read_text() == (finished / "study" / "best.yaml").read_text()
-    told, lie = (pd.read_csv(f / "study" / "finalists.csv") for f in (finished, folder))
-    pd.testing.assert_series_equal(told["held_out_loss"], lie["held_out_loss"])
-    assert not np.allclose(told["kxx_mean_error_percent"], lie["kxx_mean_error_percent"])
-
-
-@pytest.mark.usefixtures("no_pictures")
 def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As many trials of each sampler and seed, in studies of their own, and a sentence on who won."""
     compare_samplers(small(finished), ["tpe", "random"], [0, 1])
@@ -433,14 +414,6 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
         for i, (state, loss) in enumerate(zip(states, losses, strict=True))
     ]
     assert track_best(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
-
-
-def test_speeds_are_held_out_inside_the_range() -> None:
-    from pipeline.identification.held_out import held_out_speeds
-
-    mask = held_out_speeds(591, untuned().training.holdout_every)
-    assert not mask[[0, -1]].any()
-    assert mask.sum() == 59
 
 
 STUDIES = Path(__file__).parents[2] / "studies"
