@@ -101,19 +101,6 @@ def test_a_training_that_is_over_stays_while_others_go_on(phases: OptimizerConfi
     assert together.steps == max(steps)
 
 
-def test_same_seed_same_bits(hydrostatic: Machine) -> None:
-    """A training repeats itself to the last bit; another seed is another network with a near answer."""
-    setup = setup_of(hydrostatic, optimizer(adam=10, lm=40), holdout_every=10)
-    setup = replace(setup, model=setup.model.model_copy(update={"width": 8}))
-    prepared = prepare_residual(asked(hydrostatic), setup)
-    first, again, other = (minimised(prepared, initial_parameters(prepared, setup, seed), setup) for seed in (1, 1, 2))
-    assert torch.equal(first.parameters, again.parameters)
-    assert [row["loss"] for row in first.history] == [row["loss"] for row in again.history]
-    assert not torch.equal(first.parameters, other.parameters)
-    values = [prepared.identified(one.parameters[0]).values(hydrostatic.speeds) for one in (first, other)]
-    assert np.abs(values[0] / values[1] - 1).mean() < 8e-4
-
-
 def test_converged(ball: Machine) -> None:
     """No improvement above the tolerance for `patience` steps: converged, before the budget is spent."""
     _, batch = trained(asked(ball), setup_of(ball, optimizer(lm=500, patience=5), tolerance=0.1), [1e6])

@@ -56,13 +56,6 @@ def shown(what: str, values: dict[str, float], bar: float) -> float:
     return values[worst]
 
 
-def test_every_experiment_has_a_bar() -> None:
-    """A new experiment must be held to something, here or in the file of tests that is named after its kind."""
-    assert sorted(
-        [*PAPER, *ALL_EIGHT, *NOISY, "realistic", "oil_temperatures", "measured_demo", "rk4"]
-    ) == list_options("experiment")
-
-
 def limit_of(experiment: str, file: str, metric: str) -> float:
     """The threshold of a metric, percent; a star of its path stands for any key."""
     rules = [rule for rule in read_rules(check.THRESHOLDS / f"{experiment}.yaml") if rule.file == file]

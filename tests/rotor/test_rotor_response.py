@@ -290,14 +290,6 @@ def test_band_solve_of_some_dof_equals_the_dense_one(hydrostatic: Machine, rng: 
     assert np.abs(found - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
-@pytest.mark.parametrize("count", [1, 15, 16, 17, 33])
-def test_number_of_speeds_does_not_matter(count: int, hydrostatic: Machine) -> None:
-    """Speeds are assembled in chunks: a response does not depend on which others are computed with it."""
-    table = hydrostatic.bearings.at(np.arange(count))
-    q = solve_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
-    np.testing.assert_array_equal(q, hydrostatic.response[:count])
-
-
 def test_product_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Generator) -> None:
     """``apply`` multiplies only the columns that couple; the dense product is D[rows, columns] x."""
     rotor, speeds = hydrostatic.rotor, hydrostatic.speeds[::13]

@@ -112,8 +112,3 @@ def test_what_can_not_be_promoted(override: str, words: str, found: list[str], t
     with pytest.raises(ConfigError, match=words):
         run_stage(compose_config([*found, override]))
     assert not (tmp_path / "studies").exists()
-
-
-def test_a_study_writes_into_a_folder_of_its_own_name() -> None:
-    tuning = compose_config(["stage=tune", "tuning.study=mine"]).tuning
-    assert (tuning.folder, tuning.promoted) == ("artifacts/studies/mine", "studies/hydrostatic_stiffness")

@@ -199,11 +199,6 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
     assert len(config.promoted.in_force) == 3 - len(overridden)
 
 
-def test_tuned_false_leaves_them_out(study: Path) -> None:
-    (study / "best.yaml").write_text("{")
-    assert compose_config([f"tuning.promoted={study}", "tuned=false"]).model.width == 48
-
-
 @pytest.mark.parametrize(
     "text",
     [
