@@ -112,7 +112,7 @@ promote: env  ## let training use a study: make promote STUDY=NAME [EXPERIMENT=N
 
 PORT ?= 8080
 dashboard: env  ## look at all studies at http://127.0.0.1:8080, the committed ones and those of this machine
-	$(RUN) pipeline stage=dashboard tracking.enabled=false
+	.venv/bin/python studies/dashboard/dashboard.py
 	PATH="$(CURDIR)/.venv/bin:$$PATH" optuna-dashboard sqlite:///studies/optuna.db --port $(PORT)
 
 bench: env  ## measure ratios of speed and write docs/measured/benchmarks.md; no time fails it

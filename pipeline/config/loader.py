@@ -36,7 +36,6 @@ STAGES: dict[str, str] = {
     "choose": "say which model the data ask for: bearing laws, laws with a correction, or a network",
     "tune": "search hyperparameters on held-out speeds, and say which values are the best",
     "promote": "let training use what a study found (tuning.study); what changes is said first",
-    "dashboard": "put the committed studies into the database that optuna-dashboard shows",
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
     "robustness": "train from many initial guesses or seeds at once",

@@ -16,8 +16,7 @@ from pipeline.files import write_json, write_text
 from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
-from pipeline.tuning.finalists import Finalist, TrialSummary
-from pipeline.tuning.trials_file import TRIALS, format_trials
+from pipeline.tuning.finalists import TRIALS, Finalist, TrialSummary, format_trials
 from pipeline.write_numbers import write_number
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}

@@ -250,7 +250,6 @@ def test_all_stages_are_tried_here() -> None:
             "balance",
             "choose",
             "promote",
-            "dashboard",
         ),
     }
     assert set(LINE) | elsewhere == set(STAGES)

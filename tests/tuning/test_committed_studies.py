@@ -8,13 +8,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import yaml
+from dashboard import add_trials, gather_studies
 from running import contents
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import run_stage
+from pipeline.tuning.finalists import TRIALS, format_trials
 from pipeline.tuning.storage import open_storage
-from pipeline.tuning.trials_file import TRIALS, add_trials, format_trials, gather_studies
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "studies").glob(f"*/{TRIALS}"))
