@@ -42,7 +42,7 @@ demo: env  ## from synthetic recordings of a machine to its results on one scree
 # stage by itself (a stage that all depend on can't be looked at by both), and all share one import of MLflow.
 reproduce: env  ## run every experiment whose inputs changed (dvc repro), then the check
 	$(RUN) dvc repro configure
-	$(RUN) pipeline.tracking $(MAKE) -j2 experiments-a-l experiments-m-z
+	.venv/bin/python docs/recorder.py $(MAKE) -j2 experiments-a-l experiments-m-z
 	$(RUN) dvc repro
 	$(RUN) pipeline stage=check tracking=none
 

@@ -14,9 +14,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.excitation_files import write_excitation
+from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import DataError
 from pipeline.files import hash_file
+from pipeline.problem.configured import list_known
 from pipeline.reporting.console import say
+from pipeline.rotor.bearing_table import BearingTable
 
 _T = TypeVar("_T")
 
@@ -92,6 +98,30 @@ def hash_origin(config: Config, work: Workspace) -> str:
     Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
     """
     return f"{hash_machine(config)} {hash_file(work.excitation)} {hash_file(work.known)}"
+
+
+def write_data(
+    config: Config,
+    data: VibrationDataset,
+    known: BearingTable | None,
+    modelled: BearingTable | None,
+    generated_for: str | None = None,
+) -> list[Path]:
+    """Write the experiment's own data; the vibration comes last, and is the last of the files.
+
+    Coefficients of data that were there before go. ``generated_for`` is the fingerprint of the rotor that generated
+    data are of.
+    """
+    files = locate_files(config)
+    written = [write_excitation(files.excitation, data)]
+    given = list_known(config, known.nodes) if known else None
+    for path, table, names in ((files.known, known, given), (files.modelled, modelled, None)):
+        if table is None:
+            path.unlink(missing_ok=True)
+        else:
+            written.append(write_coefficients(path, table, names))
+    marks = {"rotor": generated_for, "origin": hash_origin(config, files)} if generated_for else None
+    return [*written, write_vibration(files.vibration, data, marks)]
 
 
 # --- what its stages make of it ----------------------------------------------------------------------

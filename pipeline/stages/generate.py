@@ -9,8 +9,7 @@ from pipeline.data.tables import read_marks
 from pipeline.errors import DataError
 from pipeline.problem.configured import find_idle, model_machine, read_probes
 from pipeline.reporting.console import say, warn
-from pipeline.stages.analysis import Analysis, require_own
-from pipeline.stages.measurement import write_data
+from pipeline.stages.analysis import Analysis, require_own, write_data
 from pipeline.tracking import StageRecord
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM

@@ -15,8 +15,7 @@ from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes, require_nodes
-from pipeline.stages.analysis import Analysis, Workspace, require_own
-from pipeline.stages.measurement import write_data
+from pipeline.stages.analysis import Analysis, Workspace, require_own, write_data
 from pipeline.tracking import StageRecord
 
 

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.config.schema import Config
-from pipeline.data.coefficient_files import read_coefficients, write_coefficients
+from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_marks
-from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of, write_vibration
+from pipeline.data.vibration_files import read_measured, require_made_for, require_nodes_of
 from pipeline.errors import DataError
 from pipeline.files import read_json
 from pipeline.identification.fit import loss_of
@@ -156,27 +155,3 @@ def load_modelled(config: Config, measurement: Measurement) -> BearingTable | No
         return None
     nodes, dataset = measurement.rotor.bearing_nodes, measurement.dataset
     return read_coefficients(files.modelled, nodes, dataset.speeds, operating=dataset.operating)
-
-
-def write_data(
-    config: Config,
-    data: VibrationDataset,
-    known: BearingTable | None,
-    modelled: BearingTable | None,
-    generated_for: str | None = None,
-) -> list[Path]:
-    """Write the experiment's own data; the vibration comes last, and is the last of the files.
-
-    Coefficients of data that were there before go. ``generated_for`` is the fingerprint of the rotor that generated
-    data are of.
-    """
-    files = locate_files(config)
-    written = [write_excitation(files.excitation, data)]
-    given = list_known(config, known.nodes) if known else None
-    for path, table, names in ((files.known, known, given), (files.modelled, modelled, None)):
-        if table is None:
-            path.unlink(missing_ok=True)
-        else:
-            written.append(write_coefficients(path, table, names))
-    marks = {"rotor": generated_for, "origin": hash_origin(config, files)} if generated_for else None
-    return [*written, write_vibration(files.vibration, data, marks)]

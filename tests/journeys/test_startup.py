@@ -248,7 +248,7 @@ def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
     both = '"$0" stage.py && cd folder && "$0" ../stage.py; exit 3'
     (tmp_path / "folder").mkdir()
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    shared = [sys.executable, "-m", "pipeline.tracking", "bash", "-c", both, sys.executable]
+    shared = [sys.executable, str(ROOT / "docs" / "recorder.py"), "bash", "-c", both, sys.executable]
     ended = subprocess.run(shared, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=120)
     assert (ended.returncode, ended.stderr) == (3, "")
     first, second = (line.split() for line in ended.stdout.splitlines())
