@@ -137,12 +137,10 @@ class Comparison:
 
     def best_other(self, method: str, case: Case, name: str, *without: str) -> tuple[str, float]:
         """The best of the others but ``without`` for a coefficient, and the error of ``method`` over its error."""
-        errors = {other: self.error(other, case, name) for other in self.methods if other not in (method, *without)}
-        answered = [other for other, error in errors.items() if not np.isnan(error)]
-        if not answered:
-            return "", float("nan")
-        best = min(answered, key=errors.__getitem__)
-        return best, self.error(method, case, name) / errors[best]
+        others = (other for other in self.methods if other not in (method, *without))
+        errors = {other: error for other in others if not np.isnan(error := self.error(other, case, name))}
+        best = min(errors, key=errors.__getitem__, default="")
+        return best, self.error(method, case, name) / errors.get(best, np.nan)
 
     def outcomes(self) -> dict[str, dict[str, str]]:
         """Why a method gave no answer: method -> name of the reason -> its words."""

@@ -272,21 +272,23 @@ def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
-    contradiction = find_contradiction(quality, kind)
-    phrases = [] if contradiction is None else [" ".join(contradiction)]
-    phrases += [_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()]
-    law = quality.get("law", {})
-    for node, share in law.get("outside_table", {}).items():
-        if share > 0:
-            phrases.append(
-                f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
-                "end of its table, whose last coefficients are continued there: give a table that goes further."
-            )
-    if law.get("starts", 1) > 1:
-        phrases.append(
-            f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."
-        )
-    return phrases
+    contradiction, law = find_contradiction(quality, kind), quality.get("law", {})
+    several = law.get("starts", 1) > 1
+    return [
+        *([] if contradiction is None else [" ".join(contradiction)]),
+        *(_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()),
+        *(
+            f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+            "end of its table, whose last coefficients are continued there: give a table that goes further."
+            for node, share in law.get("outside_table", {}).items()
+            if share > 0
+        ),
+        *(
+            [f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."]
+            if several
+            else []
+        ),
+    ]
 
 
 def _describe_correction(
