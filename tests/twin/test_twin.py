@@ -176,7 +176,7 @@ def test_crossings_of_straight_lines_are_exact(constant: float, slope: float, co
     ],
 )
 def test_lines_that_jump_or_miss_make_no_critical_speed(lines: list[np.ndarray]) -> None:
-    """A mode that becomes overdamped makes those above change places: a jump is no crossing, nor is NaN, nor a point."""
+    """A mode that becomes overdamped makes those above change places: a jump is no crossing, nor NaN, nor a point."""
     assert find_critical_speeds(made_modes(np.linspace(10, 100, 10)[: len(lines[0])], *lines)) == []
 
 
