@@ -116,7 +116,7 @@ def _run_hydra(options: Namespace, folder: Path | None) -> None:
             _call_hydra(job, options)
         finally:  # also of the jobs that ended well beside one that failed
             if len(job.folders) > 1:
-                from pipeline.stages.jobs import compare_jobs
+                from pipeline.reporting.training import compare_jobs
 
                 compare_jobs(job.folders, started)
 

@@ -216,7 +216,7 @@ HEAVY = [
     [
         (["pipeline.config.schema"], [*HEAVY, "hydra", "pint"]),
         (["pipeline.stages"], [*HEAVY, "hydra", "pydantic", "numpy"]),
-        (["pipeline.config.compose", "pipeline.stages.execution", "pipeline.stages.measurement"], HEAVY),
+        (["pipeline.config.compose", "pipeline.stages.analysis", "pipeline.stages.measurement"], HEAVY),
         (["pipeline.stages.ingest"], HEAVY),
         (["pipeline.stages.train", "pipeline.stages.evaluate", "pipeline.stages.check"], HEAVY),
         (["pipeline.tracking", "pipeline.reporting.matplotlib_figures", "pipeline.twin.modes"], HEAVY),

@@ -10,8 +10,7 @@ from pipeline.files import write_json
 from pipeline.identification.choice import Judged, choose, judge_models, setup_model
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import use_threads
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
 from pipeline.tracking import StageRecord
 

@@ -14,8 +14,7 @@ from pipeline.reporting.comparison import draw_comparison, print_comparison, sum
 from pipeline.reporting.comparison_tables import Comparison, tabulate, write_markdown
 from pipeline.reporting.console import count_progress, say
 from pipeline.rotor.stored import require_nodes
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import use_threads
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.tracking import StageRecord
 
 

@@ -26,9 +26,8 @@ from pipeline.reporting.diagnosis import (
     summarize_diagnosis,
     tabulate_diagnosis,
 )
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import describe_noise, diagnose_laws
-from pipeline.stages.execution import use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking import StageRecord
 from pipeline.twin.twin import plan_twin

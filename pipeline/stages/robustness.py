@@ -34,9 +34,8 @@ from pipeline.problem.configured import build_measurement, model_machine, read_p
 from pipeline.processes import open_pool
 from pipeline.reporting.console import count_progress, training_progress
 from pipeline.reporting.training import draw_refits, draw_robustness, print_refits, print_starts
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import say_diagnosis, say_promoted
-from pipeline.stages.execution import use_threads
 from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.tracking import StageRecord
 from pipeline.twin.twin import measure_unseen

@@ -12,8 +12,7 @@ from pipeline.identification.quality import finite
 from pipeline.identification.senses import try_senses
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import use_threads
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
 from pipeline.tracking import StageRecord
 

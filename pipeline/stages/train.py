@@ -26,9 +26,8 @@ from pipeline.reporting.fit_tables import (
     tabulate_parameters,
     tabulate_unbalance,
 )
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import describe_noise, say_beforehand
-from pipeline.stages.execution import use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking import StageRecord
 from pipeline.tracking.model import exemplify

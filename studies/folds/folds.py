@@ -36,8 +36,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis, locate_files
-from pipeline.stages.execution import record, use_threads
+from pipeline.stages.analysis import Analysis, locate_files, record, use_threads
 from pipeline.stages.measurement import load_dataset, load_measurement
 from pipeline.tracking import StageRecord, recorder_beside
 

@@ -25,8 +25,7 @@ from pipeline.reporting.blocks import BLUE, GREEN, ORANGE, Axes, Curve, Panel, s
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_panel
 from pipeline.reporting.study_files import HELD_OUT
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import record
+from pipeline.stages.analysis import Analysis, record
 from pipeline.stages.measurement import load_measurement
 from pipeline.stages.tune import pose_study, say_interrupt, search
 from pipeline.tracking import StageRecord, recorder_beside

@@ -27,7 +27,7 @@ from pipeline.identification.residual_loss import (
 )
 from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
 from pipeline.identification.training import FitSetup, Minimum, Outcome
-from pipeline.stages.execution import use_threads
+from pipeline.stages.analysis import use_threads
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
