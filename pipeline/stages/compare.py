@@ -10,8 +10,14 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.configured import model_machine
-from pipeline.reporting.comparison import draw_comparison, print_comparison, summarize_comparison
-from pipeline.reporting.comparison_tables import Comparison, tabulate, write_markdown
+from pipeline.reporting.comparison import (
+    Comparison,
+    draw_comparison,
+    print_comparison,
+    summarize_comparison,
+    tabulate,
+    write_markdown,
+)
 from pipeline.reporting.console import count_progress, say
 from pipeline.rotor.stored import require_nodes
 from pipeline.stages.analysis import Analysis, use_threads
