@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -212,21 +211,11 @@ _UNITS = {
 """By the last part of a number's name: the unit that is shown, what SI is multiplied by, and what is added."""
 
 
-@dataclass(frozen=True)
-class EngineersNumber:
-    """A number of a bearing law as an engineer writes it."""
+def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[dict[str, Any]]:
+    """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units.
 
-    name: str  # such as 8.radial_clearance
-    label: str  # such as "node 8 radial clearance"
-    value: float
-    deviation: float
-    unit: str
-    guess: float
-    determined: bool
-
-
-def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[EngineersNumber]:
-    """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units."""
+    Beside what they have there, each has its ``name`` (8.radial_clearance) and a ``label`` (node 8 radial clearance).
+    """
     oil = None if config.machine.laws is None else config.machine.laws.oil
     reference = getattr(oil, "reference", None)
     numbers = []
@@ -236,10 +225,9 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
         label = (where if where == "oil" else f"node {where}") + f" {what.replace('_', ' ')}"
         if what == "viscosity" and reference is not None:
             label += f" at {write_condition('oil_temperature', reference)}"
-        value, guess = (factor * number[key] + shift for key in ("value", "guess"))
-        numbers.append(
-            EngineersNumber(name, label, value, factor * number["deviation"], unit, guess, number["determined"])
-        )
+        scaled = {key: factor * number[key] + shift for key in ("value", "guess")}
+        scaled["deviation"] = factor * number["deviation"]
+        numbers.append({**number, **scaled, "name": name, "label": label, "unit": unit})
     return numbers
 
 
@@ -251,19 +239,21 @@ def print_laws(config: Config, quality: Mapping[str, Any]) -> None:
         say(f"{config.name}: {sentence}")
 
 
-def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
+def tabulate_numbers(caption: str, numbers: Sequence[Mapping[str, Any]]) -> Table:
     """A row a number."""
     return Table(
         caption,
         ["number", "found", "unit", "+- %", "guess", "remark"],
         [
             [
-                number.label,
-                write_number(number.value, number.deviation),
-                number.unit,
-                write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
-                write_number(number.guess),
-                "" if number.determined else "the data do not tell it",
+                number["label"],
+                write_number(number["value"], number["deviation"]),
+                number["unit"],
+                write_number(
+                    100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf, digits=2
+                ),
+                write_number(number["guess"]),
+                "" if number["determined"] else "the data do not tell it",
             ]
             for number in numbers
         ],

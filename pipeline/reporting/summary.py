@@ -52,7 +52,7 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     config, judged = content.config, content.machine_verdict
     whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
     numbers = [
-        f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
+        f"{number['label']} {write_number(number['value'], number['deviation'])} {number['unit']}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)
     ]
     lines = [

@@ -19,7 +19,8 @@ def run(analysis: Analysis) -> StageRecord:
     states = [export_at(config, answer, state) for state in list_states(config, answer.measurement.dataset)]
     physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
     numbers = [
-        Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
+        Number(name=number["label"], value=number["value"], std=number["deviation"], unit=number["unit"])
+        for number in physical
     ]
     notes: list[str] = []
     reservation = say_reservation(analysis)
