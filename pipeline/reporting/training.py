@@ -233,8 +233,11 @@ def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
     ]
     table("the jobs of this command", ["job", *(name.replace("_", " ") for name in shown)], rows)
     folder = Path(os.path.commonpath(list(jobs.values())))
-    columns: dict[str, list[Any]] = {"job": list(summaries), "folder": list(jobs.values())}
-    columns |= {name: [job_summary.get(name) for job_summary in summaries.values()] for name in shown}
+    columns = {
+        "job": list(summaries),
+        "folder": list(jobs.values()),
+        **{name: [job_summary.get(name) for job_summary in summaries.values()] for name in shown},
+    }
     written = [write_table(folder / "jobs.csv", columns), _draw_jobs(folder / "jobs.png", summaries)]
     say(f"side by side in '{written[0]}' and '{written[1]}'")
 
@@ -275,22 +278,19 @@ def _draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
     }
     names = [name for name in _DRAWN if np.isfinite(values[name]).any()]
     names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
-    panels: list[Panel] = []
-    for name in names:
-        (label, colour), drawn = _DRAWN[name], np.isfinite(values[name])
-        beside = [""] * len(jobs) if panels else list(jobs)
-        panels.append(
-            Panel(
-                "",
-                label,
-                [
-                    Axes(
-                        [Curve(values[name][drawn], np.flatnonzero(drawn), "", colour, "none", "o", full=True)],
-                        "",
-                        y_names=beside,
-                    )
-                ],
-                log_x=bool(drawn.any()),
-            )
+    panels = [
+        Panel(
+            "",
+            _DRAWN[name][0],
+            [
+                Axes(
+                    [Curve(values[name], np.arange(len(jobs)), "", _DRAWN[name][1], "none", "o", full=True)],
+                    "",
+                    y_names=list(jobs) if name == names[0] else [""] * len(jobs),
+                )
+            ],
+            log_x=bool(np.isfinite(values[name]).any()),
         )
+        for name in names
+    ]
     return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))
