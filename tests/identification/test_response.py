@@ -277,16 +277,15 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
     assert worst(rotor_of, fit, "kxx") < 0.009
 
 
-def located(machine: Machine, noise: float) -> VibrationDataset:
-    """x and y between the discs alone: two readings a run for four bearing forces."""
-    return measure(machine.dataset, Sensors(list_directions((3,)), multiplicative=noise), np.random.default_rng(1))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("guess", ["1e6 N/m", "1e7 N/m"])
 def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> None:
-    """No linear start, and still no search: the filter's answer of each speed leads to the minimum."""
-    dataset = located(rotor_of, 1e-3)
+    """No linear start, and still no search: the filter's answer of each speed leads to the minimum.
+
+    x and y between the discs alone are two readings a run for four bearing forces.
+    """
+    between = Sensors(list_directions((3,)), multiplicative=1e-3)
+    dataset = measure(rotor_of.dataset, between, np.random.default_rng(1))
     fit = fit_of(rotor_of, dataset, 1e-3, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess
     assert fit.start.filtered is not None

@@ -29,14 +29,6 @@ PAPER = {
     "hydrostatic_stiffness": {"kxx": 0.002, "kyy": 0.001},
     "hydrostatic_damping": {"cxx": 0.005, "cyy": 0.054},
 }
-ALL_EIGHT = [
-    "all_coefficients",
-    "all_coefficients_backward",
-    "all_coefficients_paper",
-    "compressor_journal_and_isotropic",
-    "compressor_two_journals",
-]
-NOISY = ["impulses", "noisy_all", "noisy_direct", "noisy_stiffness", "noisy_stiffness_residual"]
 COEFFICIENTS = [(experiment, name) for experiment, of in PAPER.items() for name in of]
 NEAR = 3.0
 """A limit is at most so many times what is measured: a metric that gets worse passes it."""

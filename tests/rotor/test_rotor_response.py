@@ -192,7 +192,6 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
     assert rates == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
 
 
-AMPLITUDES = st.floats(1e-6, 1e-2)
 PHASES = st.floats(-math.pi, math.pi)
 
 
