@@ -90,13 +90,19 @@ OVERRIDES = [
     (["seed=1,2"], ["one value for seed", "'1,2'", "add -m"]),
     (["output=${nothing}"], ["output must refer to what exists", "'nothing'"]),
     (["seed=???"], ["add seed=VALUE"]),
+    (["experiment=hydrostatic_stiffness", "+loss.hidden=trained"], ["must come with kind: response"]),
+    (["experiment=realistic", "training.device=cuda"], ["training.device=cuda must go with loss=residual"]),
+    (
+        ["stage=robustness", "robustness=seeds", "experiment=noisy_stiffness"],
+        ["must have loss=residual or loss=preconditioned, but got loss=response"],
+    ),
 ]
 
 
 @pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
 def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
-        compose_mapping(overrides)
+        compose_config(overrides)
     assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
     assert [word for word in FOREIGN if word in str(caught.value)] == []
 

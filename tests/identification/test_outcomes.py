@@ -62,8 +62,6 @@ def test_a_named_device_trains_as_the_default(monkeypatch: pytest.MonkeyPatch, h
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"training.device=cuda must have a GPU .* `make env TORCH=cuda`"):
         use_threads(compose_config(["experiment=hydrostatic_stiffness", "training.device=cuda"]))
-    with pytest.raises(ConfigError, match=r"training.device=cuda must go with loss=residual"):
-        compose_config(["experiment=realistic", "training.device=cuda"])
 
 
 def three_seeds(prepared: ResidualTraining, setup: FitSetup) -> tuple[Minimum, list[Minimum]]:
