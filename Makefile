@@ -42,7 +42,7 @@ demo: env  ## from synthetic recordings of a machine to its results on one scree
 # stage by itself (a stage that all depend on can't be looked at by both), and all share one import of MLflow.
 reproduce: env  ## run every experiment whose inputs changed (dvc repro), then the check
 	$(RUN) dvc repro configure
-	$(RUN) pipeline.tracking $(MAKE) -j2 experiments-a-l experiments-m-z
+	.venv/bin/python docs/recorder.py $(MAKE) -j2 experiments-a-l experiments-m-z
 	$(RUN) dvc repro
 	$(RUN) pipeline stage=check tracking=none
 
@@ -112,7 +112,7 @@ promote: env  ## let training use a study: make promote STUDY=NAME [EXPERIMENT=N
 
 PORT ?= 8080
 dashboard: env  ## look at all studies at http://127.0.0.1:8080, the committed ones and those of this machine
-	$(RUN) pipeline stage=dashboard tracking.enabled=false
+	.venv/bin/python studies/dashboard/dashboard.py
 	PATH="$(CURDIR)/.venv/bin:$$PATH" optuna-dashboard sqlite:///studies/optuna.db --port $(PORT)
 
 bench: env  ## measure ratios of speed and write docs/measured/benchmarks.md; no time fails it

@@ -62,7 +62,7 @@ def _track(uri: str, patience: float) -> list[str]:
     from pipeline.config.schema import TrackingConfig
     from pipeline.tracking import StageRecord, track
 
-    record = StageRecord("rig", "train", time.time() - 1, time.time(), {}, {}, {})
+    record = StageRecord(experiment="rig", stage="train", started=time.time() - 1, ended=time.time())
     return track(record, TrackingConfig(enabled=True, uri=uri, timeout_seconds=patience))
 
 

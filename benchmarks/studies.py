@@ -28,7 +28,7 @@ _EXPERIMENT = "experiment=hydrostatic_stiffness"
 def study_overhead() -> Times:
     """What is not training, as a share."""
     from pipeline.config.schema import TrackingConfig
-    from pipeline.stages.studies import record_trial
+    from pipeline.stages.tune import record_trial
     from pipeline.tracking import StageRecord, track
 
     overhead, whole = [], []
@@ -37,7 +37,9 @@ def study_overhead() -> Times:
             trials, wall = _studied(Path(folder), "tuning.n_trials=24")
             settings = TrackingConfig(enabled=True, uri=f"sqlite:///{folder}/mlflow.db", timeout_seconds=30.0)
             children = [record_trial("x", trial) for trial in trials]
-            record = StageRecord("x", "tune", time.time() - 1, time.time(), {}, {}, {}, children=children)
+            record = StageRecord(
+                experiment="x", stage="tune", started=time.time() - 1, ended=time.time(), children=children
+            )
             track(replace(record, children=()), settings)  # makes the database
             tracking = seconds(partial(track, record, settings))
         overhead.append(wall - sum(trial.seconds or 0.0 for trial in trials) + tracking)

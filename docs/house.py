@@ -36,7 +36,6 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tuning"}), "hyperparameter studies (Optuna)"),
     (frozenset({"reporting"}), "tables, figures, words"),
     (frozenset({"tracking"}), "records (MLflow)"),
-    (frozenset({"usage"}), "help"),
     (frozenset({"stages"}), "load, call, write, say"),
     (frozenset({"__main__"}), "the command line"),
 )

@@ -59,7 +59,11 @@ BUDGETS = {
 """Measure -> the most that it may be, and what it is to become."""
 
 BEYOND = {
-    ("reporting",): (1900, "each stage's sentences, tables and figures; a page, a PDF and PNGs of the same values"),
+    ("reporting",): (
+        1900,
+        "each stage's sentences, tables and figures; a page, a PDF and PNGs of the same values, laid out twice "
+        "(Plotly, Matplotlib); a study's report; tables of a comparison",
+    ),
     ("identification",): (
         1800,
         "two kinds of rows (the paper's residual, output error); the search over kinds of bearings; bands of several "
@@ -68,7 +72,8 @@ BEYOND = {
     ("stages",): (1400, ""),
     ("config", "beside the rooms"): (
         1800,
-        "sections of recordings (8 formats), units, messages with the nearest key; the command line, exit codes, pools",
+        "sections of recordings (8 formats), units, messages with the nearest key; machines of one's own; the jobs "
+        "of a multirun, exit codes, pools",
     ),
     ("problem", "trust"): (
         1700,
@@ -76,7 +81,11 @@ BEYOND = {
         "mistakes by name",
     ),
     ("balance",): (650, "records of another day"),
-    ("tuning", "tracking"): (600, "studies by several processes, trials as text; MLflow in a process of its own"),
+    ("tuning", "tracking"): (
+        600,
+        "trials that keep their places through Ctrl-C and dead workers, on several machines; finalists over seeds, "
+        "trials as text; MLflow in a process of its own, a database made once, models that load without the house",
+    ),
     ("methods", "comparison"): (650, "eight conventional methods and their cases"),
     ("laws", "rotor", "data", "sweep", "ingest", "evaluation", "twin", "export"): (
         4000,

@@ -22,7 +22,7 @@ import running
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.studies import pose_study
+from pipeline.stages.tune import pose_study
 from pipeline.tuning.storage import close_storage, list_results, open_storage
 from pipeline.tuning.study import StudyProblem
 

@@ -72,32 +72,6 @@ class WeightsConfig(Section):
             yield f"must have at least one mass, or {ANY}, but masses is empty"
 
 
-class BalanceConfig(Section):
-    """What ``stage=balance`` is asked: whose unbalance, and what the correction weights are to take away.
-
-    ``residual`` is what the machine has without known weights; with a ``condition``, that of its record or both.
-    """
-
-    records: str | None = None
-    reference: str | None = None
-    condition: str | None = None
-    remove: Literal["residual", "condition", "both"] = "residual"
-    minimise: Literal["unbalance", "vibration"] = "unbalance"
-    speeds_rpm: tuple[PositiveFloat, ...] = ()
-    method: str | None = None
-
-    @rule
-    def _named(self) -> Iterator[str]:
-        if self.remove != "residual" and not self.condition:
-            yield f"must name a condition where remove is {self.remove}, but condition is null"
-        yield from _ask_for_records(self)
-
-
-def _ask_for_records(section: BalanceConfig | PredictConfig) -> Iterator[str]:
-    if section.reference and not section.records:
-        yield f"must name records where reference is {section.reference}, but records is null"
-
-
 class PredictConfig(Section):
     """``records``: a table whose known weights' vibration is predicted, by ``method`` or the first that there is.
 
@@ -109,5 +83,23 @@ class PredictConfig(Section):
     method: str | None = None
 
     @rule
+    def _names_records(self) -> Iterator[str]:
+        if self.reference and not self.records:
+            yield f"must name records where reference is {self.reference}, but records is null"
+
+
+class BalanceConfig(PredictConfig):
+    """What ``stage=balance`` is asked: whose unbalance, and what the correction weights are to take away.
+
+    ``residual`` is what the machine has without known weights; with a ``condition``, that of its record or both.
+    """
+
+    condition: str | None = None
+    remove: Literal["residual", "condition", "both"] = "residual"
+    minimise: Literal["unbalance", "vibration"] = "unbalance"
+    speeds_rpm: tuple[PositiveFloat, ...] = ()
+
+    @rule
     def _named(self) -> Iterator[str]:
-        yield from _ask_for_records(self)
+        if self.remove != "residual" and not self.condition:
+            yield f"must name a condition where remove is {self.remove}, but condition is null"

@@ -36,8 +36,6 @@ STAGES: dict[str, str] = {
     "choose": "say which model the data ask for: bearing laws, laws with a correction, or a network",
     "tune": "search hyperparameters on held-out speeds, and say which values are the best",
     "promote": "let training use what a study found (tuning.study); what changes is said first",
-    "dashboard": "put the committed studies into the database that optuna-dashboard shows",
-    "samplers": "compare TPE with other samplers: several studies of each at equal budget",
     "train": "identify the unknown bearing coefficients from the vibration",
     "evaluate": "compare identified with modelled coefficients, and with per-speed least squares",
     "robustness": "train from many initial guesses or seeds at once",
@@ -77,13 +75,11 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
     inside a running job."""
     from hydra import version
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
-    from hydra._internal.sources_registry import SourcesRegistry
     from hydra._internal.utils import create_config_search_path
     from hydra.core.plugins import Plugins
     from hydra.core.singleton import Singleton
     from hydra.core.utils import setup_globals
 
-    from pipeline.config.conf_source import ConfSource
     from pipeline.config.own_machines import store_folder
 
     if not CONF.is_dir():
@@ -96,8 +92,7 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
         setup_globals()
         if folder:
             store_folder(folder)
-        SourcesRegistry.instance().register(ConfSource)
-        yield ConfigLoaderImpl(create_config_search_path(f"{ConfSource.scheme()}://{CONF}"))
+        yield ConfigLoaderImpl(create_config_search_path(str(CONF)))
     finally:
         Singleton.set_state(state)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import Config
 
 BEST = "best.yaml"
-UNTUNED_STAGES = ("tune", "samplers", "dashboard", "promote", "check", "new")
+UNTUNED_STAGES = ("tune", "promote", "check", "new")
 """Stages that see the configured values: a study begins from them."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Annotated, Any, Literal
 
@@ -35,9 +34,9 @@ class _Dimension(Section):
         """The parameter that Optuna's ``trial`` draws."""
         return trial.suggest_categorical(name, self.options())
 
-    @abstractmethod
     def translate(self, parameter: Value) -> dict[str, Value]:
         """The values of the configuration, by key, that a parameter stands for."""
+        return {getattr(self, "key", ""): parameter}
 
     def find(self, get: Callable[[str], Any]) -> list[Value]:
         """Parameters that stand for the configured values, which ``get`` gives by key; what says most comes first."""
@@ -73,9 +72,6 @@ class FloatRange(_Dimension):
     def extremes(self) -> tuple[Value, ...]:
         return self.low, self.high
 
-    def translate(self, parameter: Value) -> dict[str, Value]:
-        return {self.key: parameter}
-
     def find(self, get: Callable[[str], Any]) -> list[Value]:
         value = get(self.key)
         return [value] if self.low <= value <= self.high else []
@@ -106,9 +102,6 @@ class Choice(_Dimension):
     key: Key
     choices: Annotated[tuple[Value, ...], Field(min_length=1), Once]
 
-    def translate(self, parameter: Value) -> dict[str, Value]:
-        return {self.key: parameter}
-
 
 class Preset(_Dimension):
     """One of several named sets of values, such as an optimiser with the phases that it has."""
@@ -125,13 +118,6 @@ DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 Sampler = Literal["tpe", "random", "gp"]
-
-
-class ComparisonConfig(Section):
-    """Studies that ``stage=samplers`` makes: each sampler with each seed."""
-
-    samplers: tuple[Sampler, ...] = Field(min_length=1)
-    seeds: tuple[NonNegativeInt, ...] = Field(min_length=1)
 
 
 class HeldOutLoss(Section):
@@ -160,7 +146,6 @@ class TuningConfig(Section):
     changed: Literal["refuse", "restart"]
     timeout_seconds: PositiveFloat
     heartbeat_seconds: PositiveInt
-    comparison: ComparisonConfig
     space: dict[DimensionName, Dimension]
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,10 +17,11 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
-from pipeline.reporting.console import say, table
+from pipeline.reporting.console import say, table, warn
 from pipeline.rotor.parameters import OF_SUPPORT, UNITS
+from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
-from pipeline.write_numbers import format_engineering, write_number
+from pipeline.write_numbers import format_engineering, write_number, write_percent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,21 +211,11 @@ _UNITS = {
 """By the last part of a number's name: the unit that is shown, what SI is multiplied by, and what is added."""
 
 
-@dataclass(frozen=True)
-class EngineersNumber:
-    """A number of a bearing law as an engineer writes it."""
+def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[dict[str, Any]]:
+    """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units.
 
-    name: str  # such as 8.radial_clearance
-    label: str  # such as "node 8 radial clearance"
-    value: float
-    deviation: float
-    unit: str
-    guess: float
-    determined: bool
-
-
-def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list[EngineersNumber]:
-    """The ``physical_numbers`` (SI) of ``training.json`` or ``metrics.json`` in an engineer's units."""
+    Beside what they have there, each has its ``name`` (8.radial_clearance) and a ``label`` (node 8 radial clearance).
+    """
     oil = None if config.machine.laws is None else config.machine.laws.oil
     reference = getattr(oil, "reference", None)
     numbers = []
@@ -235,10 +225,9 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
         label = (where if where == "oil" else f"node {where}") + f" {what.replace('_', ' ')}"
         if what == "viscosity" and reference is not None:
             label += f" at {write_condition('oil_temperature', reference)}"
-        value, guess = (factor * number[key] + shift for key in ("value", "guess"))
-        numbers.append(
-            EngineersNumber(name, label, value, factor * number["deviation"], unit, guess, number["determined"])
-        )
+        scaled = {key: factor * number[key] + shift for key in ("value", "guess")}
+        scaled["deviation"] = factor * number["deviation"]
+        numbers.append({**number, **scaled, "name": name, "label": label, "unit": unit})
     return numbers
 
 
@@ -250,19 +239,21 @@ def print_laws(config: Config, quality: Mapping[str, Any]) -> None:
         say(f"{config.name}: {sentence}")
 
 
-def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
+def tabulate_numbers(caption: str, numbers: Sequence[Mapping[str, Any]]) -> Table:
     """A row a number."""
     return Table(
         caption,
         ["number", "found", "unit", "+- %", "guess", "remark"],
         [
             [
-                number.label,
-                write_number(number.value, number.deviation),
-                number.unit,
-                write_number(100.0 * abs(number.deviation / number.value) if number.value else np.inf, digits=2),
-                write_number(number.guess),
-                "" if number.determined else "the data do not tell it",
+                number["label"],
+                write_number(number["value"], number["deviation"]),
+                number["unit"],
+                write_number(
+                    100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf, digits=2
+                ),
+                write_number(number["guess"]),
+                "" if number["determined"] else "the data do not tell it",
             ]
             for number in numbers
         ],
@@ -271,21 +262,23 @@ def tabulate_numbers(caption: str, numbers: Sequence[EngineersNumber]) -> Table:
 
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
-    contradiction = find_contradiction(quality, kind)
-    phrases = [] if contradiction is None else [" ".join(contradiction)]
-    phrases += [_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()]
-    law = quality.get("law", {})
-    for node, share in law.get("outside_table", {}).items():
-        if share > 0:
-            phrases.append(
-                f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
-                "end of its table, whose last coefficients are continued there: give a table that goes further."
-            )
-    if law.get("starts", 1) > 1:
-        phrases.append(
-            f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."
-        )
-    return phrases
+    contradiction, law = find_contradiction(quality, kind), quality.get("law", {})
+    several = law.get("starts", 1) > 1
+    return [
+        *([] if contradiction is None else [" ".join(contradiction)]),
+        *(_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()),
+        *(
+            f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+            "end of its table, whose last coefficients are continued there: give a table that goes further."
+            for node, share in law.get("outside_table", {}).items()
+            if share > 0
+        ),
+        *(
+            [f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."]
+            if several
+            else []
+        ),
+    ]
 
 
 def _describe_correction(
@@ -301,3 +294,46 @@ def _describe_correction(
     out = list_contradicted(coefficients)
     against = f"That of {', '.join(out)} speaks against the law" if out else "None of it speaks against the law"
     return f"The network corrects the law of node {node} by {shown} (root mean square). {against}."
+
+
+def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """A row a coefficient."""
+    every = judged["verdicts"]
+    columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
+    return columns | {
+        "verdict": [entry["verdict"] for entry in every],
+        "band_percent": [_read_band(entry) for entry in every],
+        "reason": [" ".join(entry["reasons"]) for entry in every],
+        "next": [entry["next"] or "" for entry in every],
+    }
+
+
+def _read_band(entry: Mapping[str, Any]) -> float:
+    """Half of the 95 % band of a coefficient in percent; NaN where it was not checked."""
+    percent = entry["checks"].get("band", {}).get("percent")
+    return np.nan if percent is None else float(percent)
+
+
+def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
+    """Every coefficient, bearing and the whole, with reasons and the next step."""
+    rows = [
+        [
+            f"node {entry['node']} {entry['coefficient']}",
+            entry["verdict"],
+            "" if np.isnan(band := _read_band(entry)) else write_percent(band / 100),
+            entry["reasons"][0],
+        ]
+        for entry in judged["verdicts"]
+    ]
+    table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- (95 %)", "why"], rows)
+    for entry in judged["bearings"]:
+        say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
+    whole = judged["machine"]
+    lines = [
+        f"{name}: {whole['verdict']}. {whole['reason']}",
+        *([f"next: {whole['next']}"] if whole["next"] else []),
+        *([f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []),
+    ]
+    say("\n".join(lines))
+    if whole["reservation"]:
+        warn(f"{name}: {whole['reservation']}")

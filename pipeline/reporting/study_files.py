@@ -13,15 +13,14 @@ from pipeline.config.promotion import BEST, PromotedTrial
 from pipeline.config.tuning import Dimension, HeldOutLoss, Value
 from pipeline.data.tables import write_table
 from pipeline.files import write_json, write_text
-from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel, shade
-from pipeline.reporting.matplotlib_figures import write_figure, write_panel
+from pipeline.reporting.blocks import BLUE, GREEN, GREY, ORANGE, PURPLE, Axes, Curve, Figure, Panel
+from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.reporting.study_report import StudyReport, tabulate_finalists, tabulate_trials, write_report
-from pipeline.tuning.finalists import Finalist, TrialSummary
-from pipeline.tuning.trials_file import TRIALS, format_trials
+from pipeline.tuning.finalists import TRIALS, Finalist, TrialSummary, format_trials
 from pipeline.write_numbers import write_number
 
 _STATES = {"complete": (BLUE, "o"), "pruned": (ORANGE, "x"), "failed": (PURPLE, "s")}
-_LOSS = "held-out loss\n(over the bearing force, or the noise)"
+HELD_OUT = "held-out loss\n(over the bearing force, or the noise)"
 
 
 SUMMARY = "summary.json"
@@ -94,7 +93,7 @@ def _draw_history(trials: Sequence[TrialSummary]) -> Panel:
     best = np.minimum.accumulate(losses[complete])
     steps = np.repeat(numbers[complete], 2)[1:], np.repeat(best, 2)[:-1]
     curves.append(Curve(*steps, "best so far" if complete.any() else "", GREY))
-    return Panel("", "trial (0 is the configured default)", [Axes(curves, _LOSS, scale="log")], wide=True)
+    return Panel("", "trial (0 is the configured default)", [Axes(curves, HELD_OUT, scale="log")], wide=True)
 
 
 def _draw_curves(trials: Sequence[TrialSummary]) -> Panel:
@@ -106,7 +105,7 @@ def _draw_curves(trials: Sequence[TrialSummary]) -> Panel:
         if trial.number == 0:
             colour, label, look = GREEN, "the configured default", {"width": 2.8}
         curves.append(Curve(x, y, label, colour, "solid", ".", full=True, **look))
-    return Panel("", "part of the last optimiser's epochs (%)", [Axes(curves, _LOSS, scale="log")], wide=True)
+    return Panel("", "part of the last optimiser's epochs (%)", [Axes(curves, HELD_OUT, scale="log")], wide=True)
 
 
 def _draw_importance(importances: Mapping[str, float]) -> Panel:
@@ -226,59 +225,7 @@ def _draw_finalists(finalists: Sequence[Finalist]) -> Panel:
     return Panel(
         "",
         "one dot a seed",
-        [Axes(curves, _LOSS, scale="log")],
+        [Axes(curves, HELD_OUT, scale="log")],
         x_names=["default" if f.trial == 0 else f"trial {f.trial}" for f in finalists],
         wide=True,
     )
-
-
-def draw_samplers(path: Path, best: Mapping[str, np.ndarray]) -> Path:
-    """Best loss so far over the trials: the median of a sampler's studies, and their range."""
-    curves = []
-    for (name, losses), colour in zip(best.items(), (BLUE, ORANGE, GREEN), strict=False):
-        trials, low, high = 1 + np.arange(losses.shape[1]), losses.min(axis=0), losses.max(axis=0)
-        curves += [
-            shade(trials, low, high, colour),
-            Curve(trials, np.median(losses, axis=0), name, colour, width=2.4),
-        ]
-    return write_panel(path, Panel("", "trial", [Axes(curves, f"best {_LOSS}", scale="log")], wide=True))
-
-
-_JOBS = {
-    "held_out_loss": ("loss on held-out speeds", BLUE),
-    "loss": ("loss", BLUE),
-    "worst_mean_error_percent": ("largest mean error, %", ORANGE),
-}
-
-
-def draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
-    """What each job of a multirun came to: a row a job, a panel for its loss and its error.
-
-    The loss is that of held-out speeds where there are some.
-    """
-    # What is no positive number has no place on a logarithmic axis.
-    values = {
-        name: np.array([v if isinstance(v := job.get(name), float) and v > 0 else np.nan for job in jobs.values()])
-        for name in _JOBS
-    }
-    names = [name for name in _JOBS if np.isfinite(values[name]).any()]
-    names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
-    panels: list[Panel] = []
-    for name in names:
-        (label, colour), drawn = _JOBS[name], np.isfinite(values[name])
-        beside = [""] * len(jobs) if panels else list(jobs)
-        panels.append(
-            Panel(
-                "",
-                label,
-                [
-                    Axes(
-                        [Curve(values[name][drawn], np.flatnonzero(drawn), "", colour, "none", "o", full=True)],
-                        "",
-                        y_names=beside,
-                    )
-                ],
-                log_x=bool(drawn.any()),
-            )
-        )
-    return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))

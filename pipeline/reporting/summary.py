@@ -52,7 +52,7 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     config, judged = content.config, content.machine_verdict
     whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
     numbers = [
-        f"{number.label} {write_number(number.value, number.deviation)} {number.unit}"
+        f"{number['label']} {write_number(number['value'], number['deviation'])} {number['unit']}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)
     ]
     lines = [
@@ -187,12 +187,13 @@ def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
     Those of so much damping that API 617 asks for no margin (:func:`pipeline.twin.modes.require_separation`) are named
     apart.
     """
-    rpm, sharp, damped = _list_speeds(fit), list[str](), list[str]()
-    for mode in critical.values():
-        if mode["separation_margin_required_percent"] == 0:
-            damped.append(show(mode, "rpm"))
-        else:
-            sharp.append(f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})")
+    rpm, margin = _list_speeds(fit), "separation_margin_required_percent"
+    damped = [show(mode, "rpm") for mode in critical.values() if mode[margin] == 0]
+    sharp = [
+        f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
+        for mode in critical.values()
+        if mode[margin] != 0
+    ]
     rest = f"; critically damped (amplification factor below 2.5): {_join(damped)} rpm" if damped else ""
     return f"{_join(sharp)}, between {rpm[0]:g} and {rpm[-1]:g} rpm{fit.state}{rest}"
 

@@ -1,8 +1,11 @@
-"""Training: its loss over the steps, and answers from other guesses, seeds and data sets; in figures and on screen."""
+"""Training: its loss over the steps, and answers from other guesses, seeds and data sets, or of a multirun's jobs; in
+figures and on screen."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
@@ -10,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.coefficients import unit
-from pipeline.data.tables import read_table
+from pipeline.data.tables import read_table, write_table
+from pipeline.errors import DataError
+from pipeline.files import read_json
 from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Figure, Panel, shade
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_value
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -204,3 +209,88 @@ def print_refits(name: str, summary: Mapping[str, Any]) -> None:
             f"{write_number(error['worst_error_percent'], digits=3)} % at worst; "
             f"{error['within_95_percent_interval']:.0f} % inside the 95 % interval"
         )
+
+
+# --- the jobs of a multirun, side by side -------------------------------------------------------------
+
+_COLUMNS = ("outcome", "steps", "loss", "held_out_loss", "worst_mean_error_percent")
+
+
+def compare_jobs(jobs: Mapping[str, str], since: float) -> None:
+    """Print a table of the jobs, and write ``jobs.csv`` and ``jobs.png`` in the folder that they share.
+
+    :param jobs: what is the job's own -> its folder
+    :param since: a training is of this multirun if it was written after it (seconds since 1970)
+
+    Nothing where fewer than two jobs have a training.
+    """
+    summaries = {job: _read_job(Path(folder), since) for job, folder in jobs.items()}
+    if sum("outcome" in job_summary for job_summary in summaries.values()) < 2:
+        return
+    shown = [name for name in _COLUMNS if any(name in job_summary for job_summary in summaries.values())]
+    rows = [
+        [job, *(write_value(job_summary.get(name, "-")) for name in shown)] for job, job_summary in summaries.items()
+    ]
+    table("the jobs of this command", ["job", *(name.replace("_", " ") for name in shown)], rows)
+    folder = Path(os.path.commonpath(list(jobs.values())))
+    columns = {
+        "job": list(summaries),
+        "folder": list(jobs.values()),
+        **{name: [job_summary.get(name) for job_summary in summaries.values()] for name in shown},
+    }
+    written = [write_table(folder / "jobs.csv", columns), _draw_jobs(folder / "jobs.png", summaries)]
+    say(f"side by side in '{written[0]}' and '{written[1]}'")
+
+
+def _read_job(folder: Path, since: float) -> dict[str, Any]:
+    """What a job's files say; empty where it has no training of this multirun."""
+    path = folder / "training.json"
+    if not path.exists() or path.stat().st_mtime < since:
+        return {}
+    job: dict[str, Any] = {}
+    with suppress(DataError):
+        training = read_json(path)
+        job = {name: training[name] for name in _COLUMNS if training.get(name) is not None}
+    metrics = folder / "metrics.json"
+    if metrics.exists() and metrics.stat().st_mtime >= since:
+        with suppress(DataError, KeyError, ValueError, AttributeError):
+            bearings = read_json(metrics)["coefficients"].values()
+            job["worst_mean_error_percent"] = max(c["mean_error_percent"] for node in bearings for c in node.values())
+    return job
+
+
+_DRAWN = {
+    "held_out_loss": ("loss on held-out speeds", BLUE),
+    "loss": ("loss", BLUE),
+    "worst_mean_error_percent": ("largest mean error, %", ORANGE),
+}
+
+
+def _draw_jobs(path: Path, jobs: Mapping[str, Mapping[str, Any]]) -> Path:
+    """What each job of a multirun came to: a row a job, a panel for its loss and its error.
+
+    The loss is that of held-out speeds where there are some.
+    """
+    # What is no positive number has no place on a logarithmic axis.
+    values = {
+        name: np.array([v if isinstance(v := job.get(name), float) and v > 0 else np.nan for job in jobs.values()])
+        for name in _DRAWN
+    }
+    names = [name for name in _DRAWN if np.isfinite(values[name]).any()]
+    names = [name for name in names if name != "loss" or "held_out_loss" not in names] or ["loss"]
+    panels = [
+        Panel(
+            "",
+            _DRAWN[name][0],
+            [
+                Axes(
+                    [Curve(values[name], np.arange(len(jobs)), "", _DRAWN[name][1], "none", "o", full=True)],
+                    "",
+                    y_names=list(jobs) if name == names[0] else [""] * len(jobs),
+                )
+            ],
+            log_x=bool(np.isfinite(values[name]).any()),
+        )
+        for name in names
+    ]
+    return write_figure(path, Figure("jobs", "", panels, columns=len(panels)))

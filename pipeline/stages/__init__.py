@@ -20,8 +20,7 @@ def run_stages(configs: Iterable[Config]) -> None:
     Raises PipelineError for a user's mistake, SystemExit for an exit code.
     """
     from pipeline.reporting.console import log_steps
-    from pipeline.stages.analysis import Analysis
-    from pipeline.stages.execution import execute
+    from pipeline.stages.analysis import Analysis, execute
 
     analysis: Analysis | None = None
     for config in configs:

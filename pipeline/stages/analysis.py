@@ -1,4 +1,5 @@
-"""What a command asks about an experiment, where its files are, and what its stages have made of it, each thing once.
+"""What a command asks about an experiment: where its files are, what its stages have made of it, each thing once, and
+how a stage is run and recorded.
 
 Files have an identity: what they were made from.
 """
@@ -6,7 +7,9 @@ Files have an identity: what they were made from.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import wraps
@@ -14,9 +17,18 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.config.schema import Config
-from pipeline.errors import DataError
+from pipeline.data.coefficient_files import write_coefficients
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.excitation_files import write_excitation
+from pipeline.data.vibration_files import write_vibration
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import hash_file
-from pipeline.reporting.console import say
+from pipeline.problem.configured import list_known
+from pipeline.processes import settle_torch
+from pipeline.reporting.console import say, warn
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.tracking import StageRecord, track
+from pipeline.tracking.entries import flatten
 
 _T = TypeVar("_T")
 
@@ -94,6 +106,30 @@ def hash_origin(config: Config, work: Workspace) -> str:
     return f"{hash_machine(config)} {hash_file(work.excitation)} {hash_file(work.known)}"
 
 
+def write_data(
+    config: Config,
+    data: VibrationDataset,
+    known: BearingTable | None,
+    modelled: BearingTable | None,
+    generated_for: str | None = None,
+) -> list[Path]:
+    """Write the experiment's own data; the vibration comes last, and is the last of the files.
+
+    Coefficients of data that were there before go. ``generated_for`` is the fingerprint of the rotor that generated
+    data are of.
+    """
+    files = locate_files(config)
+    written = [write_excitation(files.excitation, data)]
+    given = list_known(config, known.nodes) if known else None
+    for path, table, names in ((files.known, known, given), (files.modelled, modelled, None)):
+        if table is None:
+            path.unlink(missing_ok=True)
+        else:
+            written.append(write_coefficients(path, table, names))
+    marks = {"rotor": generated_for, "origin": hash_origin(config, files)} if generated_for else None
+    return [*written, write_vibration(files.vibration, data, marks)]
+
+
 # --- what its stages make of it ----------------------------------------------------------------------
 
 
@@ -116,8 +152,6 @@ class Analysis:
 
     def run(self, stage: str) -> None:
         """Run another stage of the same experiment, and record it."""
-        from pipeline.stages.execution import execute
-
         execute(self.at(self.config.model_copy(update={"stage": stage})))
 
     def require(self, stage: str, *needed: Path, behind: Path | None = None) -> None:
@@ -158,3 +192,60 @@ def _mark(path: Path) -> tuple[int, int, int]:
         return 0, 0, 0
     about = path.stat()
     return about.st_ino, about.st_size, about.st_mtime_ns
+
+
+# --- its stages ---------------------------------------------------------------------------------------
+
+
+def use_threads(config: Config) -> None:
+    """Let torch use the configured number of threads. Raises ConfigError for a device that it does not see."""
+    settle_torch(config.threads)
+    import torch
+
+    if config.training.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            f"training.device=cuda must have a GPU that torch sees, but torch {torch.__version__} sees none: install "
+            "its CUDA build by `make env TORCH=cuda` on a machine with a GPU, or leave it out"
+        )
+
+
+def execute(analysis: Analysis) -> None:
+    """Run a stage and record it; of ``predict`` with records of the user's own, those alone."""
+    config = analysis.config
+    given_records = config.stage == "predict" and config.predict.records is not None
+    name = "given_records" if given_records else config.stage
+    record(analysis, importlib.import_module(f"pipeline.stages.{name}").run)
+
+
+def record(analysis: Analysis, run: Callable[[Analysis], StageRecord]) -> None:
+    """Run and record what a stage, or a study, does. The files are complete before the first word to MLflow."""
+    config, started = analysis.config, time.time()
+    output = run(analysis)
+    # The comparison's many settings are of its own stage alone.
+    parameters = config.model_dump(mode="json", exclude=None if config.stage == "compare" else {"comparison"})
+    # Stages of one experiment with the same configuration share this tag.
+    apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
+    shared = {key: parameters[key] for key in parameters if key not in apart}
+    group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
+    made = replace(
+        output,
+        experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
+        stage=config.stage,
+        title=" ".join((config.stage, config.name, *config.overrides)),
+        data=None if config.stage == "compare" else analysis.files.vibration,  # which makes data of its own
+        started=started,
+        ended=time.time(),
+        parameters=parameters,
+        tags={"pipeline.group": group, "seed": str(config.seed)} | dict(output.tags),
+        metrics={
+            name: float(value)
+            for name, value in flatten(output.metrics)
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        },
+        files=[path for path in output.files if path.exists()],
+        status="KILLED" if output.exit_code == 130 else "FINISHED",
+    )
+    for sentence in track(made, config.tracking):
+        warn(sentence)
+    if output.exit_code:
+        raise SystemExit(output.exit_code)

@@ -2,29 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.balance.correction import place_holes
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.balance.records import average_records
+from pipeline.balance.records import average_records, match_speeds
+from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
 from pipeline.balance.unbalance import Estimates, estimate_all
+from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions
 from pipeline.data.tables import write_table
 from pipeline.files import write_json
 from pipeline.ingest.conventions import SourceUnits
-from pipeline.reporting.balance import draw_balance, print_estimates, tabulate_estimates
+from pipeline.reporting.balance import (
+    describe_sheet,
+    draw_balance,
+    print_estimates,
+    print_fewer,
+    print_sheet,
+    print_vibration_change,
+    tabulate_estimates,
+    tabulate_vibration_change,
+)
 from pipeline.reporting.console import say
+from pipeline.rotor.model import RotorModel
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.balance_sheet import correct
-from pipeline.stages.execution import StageOutput
+from pipeline.stages.given_records import follow_day, list_missing, load_models, load_records
 from pipeline.stages.measurement import prepare
-from pipeline.stages.vibration_models import follow_day, list_missing, load_models, load_records
+from pipeline.tracking import StageRecord
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``balance.csv``, ``balance.json`` and ``figures/balance.png``; on screen the unbalance of each condition, and the
     balance sheet where ``machine.balance`` says where weights can be put."""
     config = analysis.config
@@ -61,7 +74,7 @@ def run(analysis: Analysis) -> StageOutput:
         write_json(work.folder / "balance.json", summary),
         draw_balance(work.figure("balance"), method, by_method[method], planes, source),
     ]
-    return StageOutput(summary, {"data_fingerprint": fingerprint}, written)
+    return StageRecord(summary, {"data_fingerprint": fingerprint}, written)
 
 
 def _read(config: Config, file: str, model: LinearVibration) -> tuple[Conditions, LinearVibration]:
@@ -74,3 +87,31 @@ def _read(config: Config, file: str, model: LinearVibration) -> tuple[Conditions
     rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
     return readings, follow_day(config.name, records, model, config.balance.reference)
+
+
+def correct(
+    config: Config, given: WeightsConfig, model: LinearVibration, method: str, readings: Conditions, rotor: RotorModel
+) -> dict[str, Any]:
+    """Choose, print and summarise the correction weights."""
+    source, asked = SourceUnits(config.machine.recordings), config.balance
+    holes = place_holes(given, model.planes, source)
+    speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm").tolist()
+    state = find_state(model, readings, asked, config.data.baseline)
+    every = [
+        propose_weights(model, state, [hole and replace(hole, most=k) for hole in holes], asked.minimise, speeds)
+        for k in range(given.most if given.masses == ANY else 1, given.most + 1)
+    ]
+    sheet = every[-1]
+    whose = {"residual": "the machine's own unbalance", "condition": f"condition {asked.condition}"}
+    whose["both"] = f"{whose['condition']} and the machine's own unbalance"
+    grade = given.tolerance
+    tolerance = share_tolerance(rotor, model.planes, grade.permissible(rotor.total_mass)) if grade else None
+    title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
+    described = describe_sheet(sheet, model.planes, source, tolerance)
+    print_sheet(title, described)
+    if len(every) > 1:
+        print_fewer(every, model.planes, source)
+    rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)
+    print_vibration_change(rows, source.unit)
+    asked_for = {"remove": asked.remove, "condition": asked.condition, "minimise": asked.minimise}
+    return described | {"method": method} | asked_for | {"vibration": rows}

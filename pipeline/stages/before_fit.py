@@ -119,8 +119,9 @@ def diagnose_laws(analysis: Analysis) -> dict[str, Any]:
     columns = [100 * information.prior, 100 * information.deviation, *([] if further is None else [further])]
     summary, rows = summarize_numbers(information, further), []
     for i, number in enumerate(list_numbers(summary, config)):
-        shown = [number.name, f"{number.guess:.4g} {number.unit}".strip(), *(f"{column[i]:.2g}" for column in columns)]
-        rows.append([*shown, "" if number.determined else "not told by these data"])
+        guess = f"{number['guess']:.4g} {number['unit']}".strip()
+        shown = [number["name"], guess, *(f"{column[i]:.2g}" for column in columns)]
+        rows.append([*shown, "" if number["determined"] else "not told by these data"])
     title = f"numbers of the bearing laws at their guesses, at {describe_noise(config)} (one standard deviation)"
     table(f"{config.name}: {title}", [*header, ""], rows)
     for sentence in describe_open(information):

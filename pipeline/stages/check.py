@@ -12,12 +12,12 @@ from pipeline.evaluation.thresholds import COMMITTED, Check
 from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Print what changed since the committed metrics, then every metric beside its threshold; write ``check.json``.
 
     Exits with 1 if a limit is exceeded or a metric is missing. ``check.commit`` makes these metrics the committed ones.
@@ -48,7 +48,7 @@ def run(analysis: Analysis) -> StageOutput:
         say(f"all {len(checks)} metrics hold")
     nearest_limits = thresholds.find_nearest_limits(checks)
     summary = {"checked": len(checks), "failed": len(failed), "share_of_threshold": nearest_limits}
-    return StageOutput(summary, files=[write_json(beside / "check.json", summary)], exit_code=1 if failed else 0)
+    return StageRecord(summary, files=[write_json(beside / "check.json", summary)], exit_code=1 if failed else 0)
 
 
 def _show(check: Check) -> list[str]:

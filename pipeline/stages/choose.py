@@ -10,15 +10,15 @@ from pipeline.files import write_json
 from pipeline.identification.choice import Judged, choose, judge_models, setup_model
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
+from pipeline.tracking import StageRecord
 
 _MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_operating"}
 """From simple to free: a tie goes to the first."""
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``choice.json`` and ``choice.csv``: a row a model.
 
     Raises ConfigError for data of a single state; as a fit does.
@@ -41,7 +41,7 @@ def run(analysis: Analysis) -> StageOutput:
         | {f"held_out_{label.replace(' ', '_')}": square for label, square in model.held_out.items()}
         for model in judged
     ]
-    return StageOutput(
+    return StageRecord(
         {"choice": summary},
         {"data_fingerprint": measurement.dataset.fingerprint},
         [write_json(folder / "choice.json", summary), write_table(folder / "choice.csv", rows)],

@@ -10,15 +10,21 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.problem.configured import model_machine
-from pipeline.reporting.comparison import draw_comparison, print_comparison, summarize_comparison
-from pipeline.reporting.comparison_tables import Comparison, tabulate, write_markdown
+from pipeline.reporting.comparison import (
+    Comparison,
+    draw_comparison,
+    print_comparison,
+    summarize_comparison,
+    tabulate,
+    write_markdown,
+)
 from pipeline.reporting.console import count_progress, say
 from pipeline.rotor.stored import require_nodes
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.analysis import Analysis, use_threads
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``comparison.csv`` (a row a method, case, bearing and coefficient), ``.json``, ``.md`` and a figure.
 
     Raises ConfigError for measured data, whose truth nobody knows.
@@ -63,7 +69,7 @@ def run(analysis: Analysis) -> StageOutput:
         draw_comparison(analysis.files.figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
-    return StageOutput(summary, tags, written)
+    return StageRecord(summary, tags, written)
 
 
 def build_machine(config: Config) -> Machine:

@@ -9,20 +9,20 @@ from pipeline.config.schema import Config
 from pipeline.files import hash_file, write_text
 from pipeline.reporting.console import say
 from pipeline.stages.analysis import Analysis, locate_files
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 
 _HOW: Any = {
     **dict.fromkeys(("stage", "tracking", "check", "threads", "output", "promoted", "balance", "predict"), True),
     "comparison": {"workers"},
-    "tuning": {"storage", "workers", "changed", "timeout_seconds", "heartbeat_seconds", "comparison"},
+    "tuning": {"storage", "workers", "changed", "timeout_seconds", "heartbeat_seconds"},
 }
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``config.yaml`` in the experiment's folder."""
     path = write_configuration(analysis.config)
     say(f"{analysis.config.name}: configuration in '{path}'")
-    return StageOutput(files=[path])
+    return StageRecord(files=[path])
 
 
 def write_configuration(config: Config) -> Path:

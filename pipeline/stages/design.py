@@ -11,22 +11,34 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.config.messages import quote_override
+from pipeline.config.runs import SpeedsConfig
 from pipeline.config.schema import Config
+from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.identification.quality import finite
-from pipeline.problem.design import predict_deviations, simulate_deviations
-from pipeline.problem.planning import choose_best
+from pipeline.laws.law_set import make_laws
+from pipeline.problem.design import plan_states, predict_deviations, simulate_deviations
+from pipeline.problem.planning import choose_best, list_states, plan_coefficients, plan_numbers, reach
+from pipeline.problem.ranking import find_least
 from pipeline.reporting.console import say
-from pipeline.reporting.design_tables import format_runs, print_gain
+from pipeline.reporting.design_tables import (
+    Runs,
+    format_runs,
+    override_states,
+    print_gain,
+    print_reached,
+    print_states,
+    summarize_states,
+)
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.parameters import OF_WEIGHT
 from pipeline.rotor.stored import load_rotor
-from pipeline.stages.accuracy_design import Designed, reach_accuracy, reach_numbers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.before_fit import describe_noise
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``design.json`` and ``designed_excitation.yaml``, which can be used at once: the command is said.
 
     Raises ConfigError for an accuracy, laws or conditions that are missing.
@@ -45,7 +57,7 @@ def run(analysis: Analysis) -> StageOutput:
         f"{quote_override('machine.runs_file', str(written[0]))} {quote_override('output', f'{folder}_designed')}"
         + overrides
     )
-    return StageOutput(metrics, {"rotor_fingerprint": rotor.fingerprint}, written)
+    return StageRecord(metrics, {"rotor_fingerprint": rotor.fingerprint}, written)
 
 
 def _choose_runs(config: Config, rotor: RotorModel) -> Designed:
@@ -74,3 +86,42 @@ def _compute_gain(deviations: _Deviations) -> float | None:
 
 def _to_json(deviations: _Deviations) -> dict[str, dict[str, float | None]]:
     return {name: {key: finite(value) for key, value in entries.items()} for name, entries in deviations.items()}
+
+
+Designed = tuple[Runs, SpeedsConfig, Mapping[str, object], Mapping[str, object], str]
+"""Runs and speeds; what ``design.json`` and the records have; overrides that go with them."""
+
+
+def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
+    """The runs and speeds that bring every coefficient to ``design.accuracy``."""
+    machine, accuracy, planner = config.machine, config.design.accuracy or 0.0, plan_coefficients(config, rotor)
+    best, predicted, cures = reach(planner, accuracy)
+    chosen = [planner.allowed[c] for c in best.runs]
+    speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
+    print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
+    # A fit refuses tolerances of weights where no run has any.
+    weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
+    kinds = [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
+    without = "".join(f" identify.model_parameters.{kind}=null" for kind in kinds)
+    numbers = {"accuracy": accuracy, "reached": best.worst <= accuracy, "predicted": predicted, "cures": cures}
+    return chosen, speeds, numbers | {"speeds": speeds.model_dump()}, {"predicted": predicted}, without
+
+
+def reach_numbers(config: Config, rotor: RotorModel) -> Designed:
+    """The states and runs that bring the numbers of bearing laws to ``design.accuracy``."""
+    machine, accuracy = config.machine, config.design.accuracy
+    if machine.laws is None or accuracy is None:
+        missing = "machine.laws" if machine.laws is None else "design.accuracy (such as 0.02)"
+        raise ConfigError(
+            f"stage=design with model={config.model.kind} must have {missing}, but there is none: write it, or choose "
+            "another model"
+        )
+    laws = make_laws(machine.laws, rotor.bearing_nodes)
+    states = list_states(config, laws)
+    planner, candidates = plan_numbers(config, rotor, laws, states)
+    plans = plan_states(candidates, config.design.runs, accuracy)
+    best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
+    print_states(config.name, describe_noise(config), candidates, plans, best, states, accuracy)
+    summary = summarize_states(candidates, plans, best, states, accuracy)
+    overrides = override_states([states[t] for t in best.states])
+    return [planner.allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides

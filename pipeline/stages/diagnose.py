@@ -26,14 +26,14 @@ from pipeline.reporting.diagnosis import (
     summarize_diagnosis,
     tabulate_diagnosis,
 )
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import describe_noise, diagnose_laws
-from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
+from pipeline.tracking import StageRecord
 from pipeline.twin.twin import plan_twin
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
     use_threads(config)
@@ -69,7 +69,7 @@ def run(analysis: Analysis) -> StageOutput:
         draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise),
         *_write_budget(analysis),
     ]
-    return StageOutput(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageRecord(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
 
 
 def _write_budget(analysis: Analysis) -> list[Path]:

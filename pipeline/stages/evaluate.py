@@ -31,12 +31,12 @@ from pipeline.reporting.fit_tables import (
 )
 from pipeline.reporting.training import draw_history
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore
+from pipeline.tracking import StageRecord
 from pipeline.twin.prediction import compare_held_out
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     config, files, answer = analysis.config, analysis.files, restore(analysis)
     table, names, deviation = answer.table, answer.names, answer.deviation
@@ -94,7 +94,7 @@ def run(analysis: Analysis) -> StageOutput:
         write_json(files.metrics, metrics),
         write_json(files.folder / "summary.json", summary),
     ]
-    return StageOutput(metrics, answer.tags, [*written, files.identified])
+    return StageRecord(metrics, answer.tags, [*written, files.identified])
 
 
 _FIGURES = {"identified": "", "stiffness": "k", "damping": "c"}

@@ -8,18 +8,19 @@ from pipeline.files import read_json, write_folder
 from pipeline.reporting.console import say
 from pipeline.reporting.fit_tables import list_numbers
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import restore
 from pipeline.stages.verdict import say_reservation
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """The folder ``export``, which takes the place of an earlier one as a whole. Trains first where there is no fit."""
     config, answer, work = analysis.config, restore(analysis), analysis.files
     states = [export_at(config, answer, state) for state in list_states(config, answer.measurement.dataset)]
     physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
     numbers = [
-        Number(name=number.label, value=number.value, std=number.deviation, unit=number.unit) for number in physical
+        Number(name=number["label"], value=number["value"], std=number["deviation"], unit=number["unit"])
+        for number in physical
     ]
     notes: list[str] = []
     reservation = say_reservation(analysis)
@@ -29,4 +30,4 @@ def run(analysis: Analysis) -> StageOutput:
     )
     written = sorted(folder.iterdir())
     say("\n".join([f"{config.name}: {len(written)} files in '{folder}'", *notes]))
-    return StageOutput(tags=answer.tags, files=written)
+    return StageRecord(tags=answer.tags, files=written)

@@ -9,14 +9,13 @@ from pipeline.data.tables import read_marks
 from pipeline.errors import DataError
 from pipeline.problem.configured import find_idle, model_machine, read_probes
 from pipeline.reporting.console import say, warn
-from pipeline.stages.analysis import Analysis, require_own
-from pipeline.stages.execution import StageOutput
-from pipeline.stages.own_data import write_data
+from pipeline.stages.analysis import Analysis, require_own, write_data
+from pipeline.tracking import StageRecord
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Vibration, excitation, and the modelled and the known coefficients."""
     config, work = analysis.config, analysis.files
     require_own(work, "generate")
@@ -49,7 +48,7 @@ def run(analysis: Analysis) -> StageOutput:
         "largest_growth": margin.largest_growth,
         "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
     }
-    return StageOutput(
+    return StageRecord(
         metrics={"stability": stability},
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=written,

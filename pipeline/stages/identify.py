@@ -8,10 +8,10 @@ from pipeline.config.loader import RESULTS, STAGES
 from pipeline.errors import IdentifiabilityError, PipelineError
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Read or simulate the data, diagnose, train; then each stage of the results. One of these that can't be made is
     skipped with its reason, what an earlier command left of it is removed, and the command ends with 1 after the rest.
 
@@ -42,4 +42,4 @@ def run(analysis: Analysis) -> StageOutput:
     files = ", ".join(f"'{path}'" for path in (work.identified, *made))
     say(f"{config.name}: results after {time.perf_counter() - started:.0f} s in {files}{also}")
     metrics, tags = {"identify.skipped": float(len(skipped))}, {"skipped": ", ".join(skipped)}
-    return StageOutput(metrics, tags, exit_code=int(bool(skipped)))
+    return StageRecord(metrics, tags, exit_code=int(bool(skipped)))

@@ -15,12 +15,11 @@ from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes, require_nodes
-from pipeline.stages.analysis import Analysis, Workspace, require_own
-from pipeline.stages.execution import StageOutput
-from pipeline.stages.own_data import write_data
+from pipeline.stages.analysis import Analysis, Workspace, require_own, write_data
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``vibration.parquet``, ``excitation.csv``, ``known_coefficients.csv``, ``ingest.json`` and figures.
 
     Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
@@ -57,7 +56,7 @@ def run(analysis: Analysis) -> StageOutput:
         )
     for note in ingested.summary["notes"]:
         warn(note)
-    return StageOutput(
+    return StageRecord(
         metrics={"ingest.runs": float(len(data.runs)), "ingest.speeds": float(len(data.speeds))},
         tags={"data_fingerprint": data.fingerprint},
         files=written,

@@ -17,12 +17,12 @@ from pipeline.ingest.recognition import recognize_recordings
 from pipeline.reporting.console import say
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 
 TEMPLATE = Path(__file__).with_name("machine_file.yaml")
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """The machine file, and the next command. Raises ConfigError without ``machine.file``, DataError where it is."""
     config = analysis.config
     if config.machine.file is None:
@@ -53,7 +53,7 @@ def run(analysis: Analysis) -> StageOutput:
             f"fill in {'' if rotor.file else 'the rotor, '}{asked} (what you leave as it is belongs to an example), "
             f"next: {command.format('stage=identify')}"
         )
-    return StageOutput(files=[path])
+    return StageRecord(files=[path])
 
 
 def insert_guesses(text: str, guesses: Mapping[str, str]) -> str:

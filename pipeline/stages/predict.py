@@ -24,9 +24,9 @@ from pipeline.reporting.twin import (
     tabulate_vibration,
 )
 from pipeline.stages.analysis import Analysis, made_once
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import ANSWER, load_modelled, prepare, restore
 from pipeline.stages.verdict import say_reservation
+from pipeline.tracking import StageRecord
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.prediction import error_percent
 from pipeline.twin.twin import Twin, build_twin, plan_twin, superpose_unseen
@@ -41,7 +41,7 @@ def load_twin(analysis: Analysis) -> Twin:
     return build_twin(config.machine, answer, load_modelled(config, answer.measurement))
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``prediction.json``, ``prediction.csv``, ``modes.csv``, Figure 6 and the Campbell diagram."""
     config, measurement, twin = analysis.config, restore(analysis).measurement, load_twin(analysis)
     vibration, at = dict(twin.vibration), twin.at
@@ -76,7 +76,7 @@ def run(analysis: Analysis) -> StageOutput:
         draw_response(work.figure("prediction_response"), vibration, name_state(twin.operating)),
         write_figure(work.figure("campbell"), draw_modes(twin.behaviour, name_state(twin.operating))),
     ]
-    return StageOutput(summary, restore(analysis).tags, written)
+    return StageRecord(summary, restore(analysis).tags, written)
 
 
 def _say_superposed(config: Config, summed: np.ndarray | str, summary: Mapping[str, Any], at: int) -> None:

@@ -14,11 +14,11 @@ from pipeline.files import read_json, write_beside
 from pipeline.reporting.console import say, table
 from pipeline.reporting.study_files import AGAIN, SUMMARY
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
+from pipeline.tracking import StageRecord
 from pipeline.write_numbers import write_value
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Say what changes in ``tuning.promoted``, then copy ``tuning.folder`` there.
 
     :raises ConfigError: where there is no such study, or it is of another experiment
@@ -44,7 +44,7 @@ def run(analysis: Analysis) -> StageOutput:
     if not any(changes.values()):
         origin = f"study '{promoted.study}' (trial {promoted.trial})"
         say(f"{config.name}: '{target}' is what {origin} found: nothing changes")
-        return StageOutput()
+        return StageRecord()
     before = read_promoted(target)
     _say_values(config, before.values if before else {}, promoted.values)
     rows = [[str(target / name), change] for name, change in changes.items() if change]
@@ -53,7 +53,7 @@ def run(analysis: Analysis) -> StageOutput:
     last = sorted(files, key=lambda name: name.name == BEST)
     written = [write_beside(target / name, partial(copyfile, source / name)) for name in last]
     say(f"{config.name}: training uses '{target / BEST}' from now on")
-    return StageOutput(files=written)
+    return StageRecord(files=written)
 
 
 def _compare(new: Path, old: Path) -> str:

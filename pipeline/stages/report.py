@@ -14,17 +14,17 @@ from pipeline.reporting.content import FitContent, ReportContent, describe_origi
 from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import load_modelled, prepare, restore
 from pipeline.stages.summary import attempt, collect_fit
 from pipeline.stages.verdict import load_judgement
+from pipeline.tracking import StageRecord
 from pipeline.tracking.entries import describe_provenance
 
 _MOST_SPECTRA = 2
 """Runs, and nodes of each, whose spectra are drawn."""
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``report.html`` and ``report.pdf``."""
     config, work, content = analysis.config, analysis.files, collect_content(analysis)
     sections = list_sections(content)
@@ -37,7 +37,7 @@ def run(analysis: Analysis) -> StageOutput:
     ]
     without = "".join(f"\n  without {part}: {reason}" for part, reason in content.missing.items())
     say(f"{config.name}: report in '{written[0]}' and '{written[1]}'{without}")
-    return StageOutput(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)
+    return StageRecord(tags={"data_fingerprint": content.dataset.fingerprint}, files=written)
 
 
 def collect_content(analysis: Analysis) -> ReportContent:

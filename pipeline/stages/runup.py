@@ -13,13 +13,13 @@ from pipeline.reporting.console import say
 from pipeline.reporting.measured_figures import draw_run_up
 from pipeline.reporting.run_up_tables import compare_identified, print_run_up, summarize_run_up
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import restore
 from pipeline.sweep.fit import respond_as_steady
 from pipeline.sweep.readings import analyse_run_up
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``run_up.json``, ``run_up.csv`` and ``figures/run_up.png``.
 
     Raises ConfigError where the machine has no run-up, and DataError as :func:`pipeline.ingest.run_up.read_run_up`.
@@ -48,4 +48,4 @@ def run(analysis: Analysis) -> StageOutput:
     for mode in summary.get("identified", {}).values():
         say(f"{config.name}: {mode['sentence']}")
     shown = {"natural_frequency_rpm": summary["natural_frequency"]["rpm"], "misfit": reading.chosen.misfit}
-    return StageOutput(metrics={"runup": shown}, files=written)
+    return StageRecord(metrics={"runup": shown}, files=written)

@@ -12,12 +12,12 @@ from pipeline.identification.quality import finite
 from pipeline.identification.senses import try_senses
 from pipeline.identification.training import setup_of
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput, use_threads
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
+from pipeline.tracking import StageRecord
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``senses.json``: every sense with its chi-square beyond the least, and the sentence.
 
     Raises ConfigError as :func:`pipeline.identification.senses.try_senses`.
@@ -52,4 +52,4 @@ def run(analysis: Analysis) -> StageOutput:
     summary = {"sentence": senses.sentence, "least": senses.least, "expected": senses.expected, "gained": senses.gained}
     summary |= {"senses": listed}
     written = [write_json(analysis.files.folder / "senses.json", summary)]
-    return StageOutput({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)
+    return StageRecord({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)

@@ -13,15 +13,15 @@ from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.summary import draw_summary, write_summary
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, load_modelled, restore
 from pipeline.stages.predict import load_twin
 from pipeline.stages.verdict import load_judgement
+from pipeline.tracking import StageRecord
 
 _T = TypeVar("_T")
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
     config, work, answer = analysis.config, analysis.files, restore(analysis)
     modelled, built = load_modelled(config, answer.measurement), config.machine.as_built
@@ -41,7 +41,7 @@ def run(analysis: Analysis) -> StageOutput:
     text = write_summary(content, fit, picture)
     written = [write_text(work.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
-    return StageOutput(tags=answer.tags, files=written)
+    return StageRecord(tags=answer.tags, files=written)
 
 
 def collect_fit(analysis: Analysis, modelled: BearingTable | None, missing: dict[str, str]) -> FitContent:

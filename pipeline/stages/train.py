@@ -26,15 +26,15 @@ from pipeline.reporting.fit_tables import (
     tabulate_parameters,
     tabulate_unbalance,
 )
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import describe_noise, say_beforehand
-from pipeline.stages.execution import StageOutput, use_threads
 from pipeline.stages.measurement import diagnose, expect, prepare
+from pipeline.tracking import StageRecord
 from pipeline.tracking.model import exemplify
 from pipeline.trust.misfit import describe_readings, measure_misfit
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """Fit, keep the best state, and write model, coefficients, history and quality."""
     config, measurement = analysis.config, prepare(analysis)
     use_threads(config)  # torch is imported when the data have been found sound
@@ -48,7 +48,7 @@ def run(analysis: Analysis) -> StageOutput:
     files = _write(analysis, fitted, answer, summary)
     _report(analysis, fitted, summary)
     say(f"{config.name}: {describe_verdicts(summary)}")
-    return StageOutput(
+    return StageRecord(
         metrics={"training": summary | {"seconds": fitted.seconds}},
         tags=answer.tags | {"outcome": fitted.outcome.label},
         files=files,

@@ -7,14 +7,14 @@ from typing import Any
 from pipeline.data.tables import write_table
 from pipeline.files import read_json, write_json
 from pipeline.reporting.console import warn
-from pipeline.reporting.verdict_tables import print_verdicts, tabulate_verdicts
+from pipeline.reporting.fit_tables import print_verdicts, tabulate_verdicts
 from pipeline.stages.analysis import Analysis, made_once
-from pipeline.stages.execution import StageOutput
 from pipeline.stages.measurement import AGAIN, ANSWER, restore
+from pipeline.tracking import StageRecord
 from pipeline.trust.judgement import judge_answer
 
 
-def run(analysis: Analysis) -> StageOutput:
+def run(analysis: Analysis) -> StageRecord:
     """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
     config, work, judged = analysis.config, analysis.files, make_judgement(analysis)
     written = [
@@ -25,7 +25,7 @@ def run(analysis: Analysis) -> StageOutput:
     counts = {
         name: sum(entry["verdict"] == name for entry in judged["verdicts"]) for name in ("good", "with care", "no")
     }
-    return StageOutput(
+    return StageRecord(
         {"verdicts": {name.replace(" ", "_"): float(count) for name, count in counts.items()}},
         restore(analysis).tags | {"verdict": judged["machine"]["verdict"]},
         written,

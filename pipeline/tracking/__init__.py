@@ -9,7 +9,6 @@ Importing this package imports neither MLflow nor pandas.
 from __future__ import annotations
 
 from pipeline.tracking.entries import RUNNING, StageRecord
-from pipeline.tracking.store import find_trial_pages
 from pipeline.tracking.tracker import hand_over, recorder_beside, track
 
-__all__ = ["RUNNING", "StageRecord", "find_trial_pages", "hand_over", "recorder_beside", "track"]
+__all__ = ["RUNNING", "StageRecord", "hand_over", "recorder_beside", "track"]

@@ -14,7 +14,7 @@ import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +32,19 @@ RUNNING = "RUNNING"
 
 @dataclass(frozen=True)
 class StageRecord:
-    """One stage's work, complete and saved; or a piece of it that is a run of its own, such as a trial of a study.
+    """What a stage hands on: its work, complete and saved; or a piece of it that is a run of its own, such as a trial.
 
+    A stage returns what it made; what it is and when it ran is added when it is recorded.
+
+    :param metrics: final values by name, nested or dotted; numbers are recorded, those that are not finite are not
+    :param tags: such as the data's fingerprint, the seed, the outcome, ``pipeline.group``
+    :param files: images go to the artifact folder ``figures``, other files to ``files``
+    :param history: rows by training step: a key ``step`` and metrics, which need not be the same in each row;
+        texts among them are left out, for MLflow's metrics are numbers
+    :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
+    :param example: a table of the model's inputs, and its answer to them
+    :param children: logged as runs below this one: parameters, tags, metrics and history of each
+    :param exit_code: of the command
     :param experiment: the name of the MLflow experiment, such as ``hydrostatic_stiffness``
     :param stage: such as ``train``
     :param title: the run's name, such as ``train ball_bearing model.width=8``; without one the ``stage``
@@ -41,32 +52,25 @@ class StageRecord:
     :param started: start and
     :param ended: end of the stage as ``time.time()`` gives them (s)
     :param parameters: the composed configuration, nested; logged flat, and whole as ``config.yaml``
-    :param tags: such as the data's fingerprint, the seed, the outcome, ``pipeline.group``
-    :param metrics: final values by name; those that are not finite are not logged
-    :param history: rows by training step: a key ``step`` and metrics, which need not be the same in each row;
-        texts among them are left out, for MLflow's metrics are numbers
-    :param files: images go to the artifact folder ``figures``, other files to ``files``
-    :param model: a folder that holds ``model.safetensors`` and ``model.json``, logged as a loadable model
-    :param example: a table of the model's inputs, and its answer to them
-    :param children: logged as runs below this one: parameters, tags, metrics and history of each
     :param status: ``FINISHED``, ``KILLED`` or ``FAILED``; ``RUNNING`` with children alone, before the stage ends
     """
 
-    experiment: str
-    stage: str
-    started: float
-    ended: float
-    parameters: Mapping[str, object]
-    tags: Mapping[str, str]
-    metrics: Mapping[str, float]
-    _: KW_ONLY
-    title: str = ""
-    data: Path | None = None
-    history: Sequence[Mapping[str, float | str]] = ()
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    tags: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[Path] = ()
+    _: KW_ONLY
+    history: Sequence[Mapping[str, float | str]] = ()
     model: Path | None = None
     example: tuple[pd.DataFrame, ...] = ()
     children: Sequence[StageRecord] = ()
+    exit_code: int = 0
+    experiment: str = ""
+    stage: str = ""
+    title: str = ""
+    data: Path | None = None
+    started: float = 0.0
+    ended: float = 0.0
+    parameters: Mapping[str, object] = field(default_factory=dict)
     status: str = "FINISHED"
 
 
@@ -93,24 +97,25 @@ def simplify(value: object) -> Any:
     return to_jsonable_python(value, fallback=lambda other: other.tolist() if hasattr(other, "tolist") else str(other))
 
 
+def flatten(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """What a nested mapping holds, by dotted name; an empty mapping in it is a value."""
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
 def flatten_parameters(parameters: Mapping[str, object]) -> dict[str, str]:
     """``parameters`` by dotted name, as texts that can be pasted back as overrides (``null``, ``[1, 2]``).
 
     Passwords are masked.
     """
-
-    def leaves(prefix: str, value: object) -> Iterator[tuple[str, object]]:
-        if isinstance(value, dict) and value:
-            for key, item in value.items():
-                yield from leaves(f"{prefix}.{key}" if prefix else key, item)
-        elif prefix:
-            yield prefix, value
-
     return {
         clean_name(name): shorten(
             without_password(value if isinstance(value, str) else json.dumps(value)), PARAMETER_LENGTH
         )
-        for name, value in leaves("", simplify(parameters))
+        for name, value in flatten(simplify(parameters))
     }
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pipeline.config.schema import TrackingConfig
 
 SHARED = "PIPELINE_RECORDER"
-"""Where the recorder listens that the commands of :mod:`pipeline.tracking.__main__` share."""
+"""Where the recorder listens that the commands of `docs/recorder.py` share."""
 
 _running: list[tuple[int, Connection]] = []
 """The process beside, and the way to it."""

@@ -18,13 +18,17 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import open_pool
 from pipeline.tuning.space import translate
-from pipeline.tuning.storage import list_results
+from pipeline.tuning.storage import WORKER, list_results
 from pipeline.tuning.study import Judged, StudyProblem, judge
 from pipeline.tuning.worker import ROUNDING
 from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
     import optuna
+    from optuna.trial import FrozenTrial
+
+TRIALS = "trials.jsonl"
+"""A study as text that is kept beside its report: a line on the study, then a line for each finished trial."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,19 +164,6 @@ def measure_importances(study: optuna.Study) -> dict[str, float]:
         return {}
 
 
-def replace_sampler(problem: StudyProblem, sampler: str, seed: int) -> StudyProblem:
-    """The same problem as a study of its own with another sampler."""
-    tuning = problem.config.tuning.model_copy(
-        update={
-            "sampler": sampler,
-            "sampler_seed": seed,
-            "study": f"{problem.config.tuning.study} · {sampler} {seed}",
-            "pruner": "none",  # what is pruned depends on the trials before, which differ
-        }
-    )
-    return replace(problem, config=problem.config.model_copy(update={"tuning": tuning}))
-
-
 def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     """Identity of everything that a report is made from: the trials, and how finalists are chosen."""
     tuning = problem.config.tuning
@@ -180,3 +171,36 @@ def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
     text = json.dumps([problem.fingerprints(), trials, choice], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+# --- as text -----------------------------------------------------------------------------------------
+
+
+def format_trials(study: optuna.Study) -> str:
+    """The study with its note and attributes, and every finished trial with all that the dashboard shows."""
+    from optuna_dashboard import get_note
+
+    with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
+        note, metrics = get_note(study), study.metric_names
+    lines: list[dict[str, Any]] = [
+        {"study": study.study_name, "metrics": metrics, "note": note, "attributes": study.user_attrs}
+    ]
+    lines += [_describe(trial) for trial in study.get_trials(deepcopy=False) if trial.state.is_finished()]
+    return "".join(json.dumps(line) + "\n" for line in lines)
+
+
+def _describe(trial: FrozenTrial) -> dict[str, Any]:
+    from optuna.distributions import distribution_to_json
+
+    return {
+        "state": trial.state.name,
+        "value": trial.value,
+        "parameters": trial.params,
+        "ranges": {
+            name: json.loads(distribution_to_json(distribution)) for name, distribution in trial.distributions.items()
+        },
+        "curve": {str(step): value for step, value in trial.intermediate_values.items()},
+        "attributes": {name: value for name, value in trial.user_attrs.items() if name != WORKER},
+        "started": trial.datetime_start and trial.datetime_start.isoformat(),
+        "ended": trial.datetime_complete and trial.datetime_complete.isoformat(),
+    }

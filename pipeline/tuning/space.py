@@ -43,10 +43,8 @@ def suggest(trial: optuna.trial.Trial, space: Space) -> dict[str, Value]:
 
 def translate(space: Space, parameters: Mapping[str, Value]) -> dict[str, Value]:
     """The values of the configuration that ``parameters`` stand for."""
-    values: dict[str, Value] = {}
-    for name, parameter in parameters.items():
-        values |= space[name].translate(parameter)
-    return values
+    every = (space[name].translate(parameter) for name, parameter in parameters.items())
+    return {key: value for values in every for key, value in values.items()}
 
 
 def find_default(config: Config) -> dict[str, Value]:

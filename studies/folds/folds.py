@@ -36,10 +36,9 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis, locate_files
-from pipeline.stages.execution import StageOutput, record, use_threads
+from pipeline.stages.analysis import Analysis, locate_files, record, use_threads
 from pipeline.stages.measurement import load_dataset, load_measurement
-from pipeline.tracking import recorder_beside
+from pipeline.tracking import StageRecord, recorder_beside
 
 _GRAM_MM = 1e-6
 """kg m."""
@@ -99,7 +98,7 @@ def _record(asked: Namespace) -> None:
 
 def run(
     config: Config, calibration: Sequence[str], heavy: float | None = None, count: int = 5, rate: float = 0.01
-) -> StageOutput:
+) -> StageRecord:
     """``folds.json``, ``folds.csv`` (a row a task, method and choice of conditions) and a figure.
 
     ``calibration`` names the conditions that calibrate alone and are never scored, the one without weights first.
@@ -141,7 +140,7 @@ def run(
         ),
         draw_folds(work.figure("folds"), rows, summary["floor"]["folds"]["median_relative_error"]),
     ]
-    return StageOutput(summary, {"data_fingerprint": dataset.fingerprint}, written)
+    return StageRecord(summary, {"data_fingerprint": dataset.fingerprint}, written)
 
 
 def list_peers(config: Config, measurement: Measurement, calibration: tuple[str, ...], rate: float) -> dict[str, Peer]:

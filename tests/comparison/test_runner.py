@@ -27,7 +27,7 @@ from pipeline.methods.method import REQUIREMENTS
 from pipeline.problem.expansion import _gain
 from pipeline.problem.noise import bearing_rows, residual_sensitivity
 from pipeline.problem.residual import bearing_equations, linear_residual
-from pipeline.reporting.comparison_tables import Comparison, format_noise
+from pipeline.reporting.comparison import Comparison, format_noise
 from pipeline.stages.compare import build_machine
 
 FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")

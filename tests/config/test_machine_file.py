@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from machine_files import UNKNOWNS, given_by, machine_file
 
 from pipeline.__main__ import main
-from pipeline.config.compose import compose_config, compose_mapping, expand_sweeps, prepare_for_hydra
+from pipeline.config.compose import compose_config, compose_mapping, prepare_for_hydra
 from pipeline.config.loader import CONF, list_options
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
@@ -58,10 +58,6 @@ def test_an_experiment_with_a_machine_of_ones_own(folder: Path) -> None:
     assert config.name == "pump_one_ball_bearing"
     assert config.identify.unknowns == ("kxx", "kyy")
     assert config.machine.bearings.kind == "linear"
-
-
-def test_null_is_no_file() -> None:
-    assert compose_config(["machine.file=null"]).name == "hydrostatic_stiffness"
 
 
 def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
@@ -212,16 +208,10 @@ def test_a_path_that_is_no_file(folder: Path) -> None:
         compose_config([given_by(path)])
     with refused("must be the path of a machine file", kind=ConfigError):
         compose_config(["machine.file=3"])
-    with refused("must be one file", kind=ConfigError):
-        main_or_raise(["-m", "machine.file=a.yaml,b.yaml"])
+    with refused("must be one file", kind=ConfigError), prepare_for_hydra(["machine.file=a.yaml,b.yaml"], None):
+        pass
     with refused("must have one machine", kind=ConfigError):
         compose_config(["machine=one_disc", given_by(machine_file(folder))])
-
-
-def main_or_raise(arguments: list[str]) -> None:
-    """What `main` does before Hydra, its errors raised."""
-    with prepare_for_hydra([argument for argument in arguments if argument != "-m"], None):
-        pass
 
 
 @pytest.mark.parametrize(
@@ -310,11 +300,6 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
         )
         == config
     )
-
-
-def test_jobs_of_a_multirun_over_machines() -> None:
-    jobs, _ = expand_sweeps(["machine=one_disc,two_discs"])
-    assert jobs == [["machine=one_disc"], ["machine=two_discs"]]
 
 
 @pytest.mark.parametrize("override", ["rotor.file=x", "~rotor.discs", "rotor=two_discs"])

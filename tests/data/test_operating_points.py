@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -115,35 +115,36 @@ def test_other_units_and_names_of_other_programs_are_read(tmp_path: Path) -> Non
     assert again.read_text().startswith("run,speed_rpm,oil_temperature_degC,drain_degC,")
 
 
-@pytest.mark.parametrize(
-    ("column", "words"),
-    [
-        ("oil_temperature", "its unit in the name of the column 'oil_temperature', but it has none: call it"),
-        ("oil_temperature_C", "a unit of temperature at the end of 'oil_temperature_C', but got 'C'"),
-        ("oil_temperature_N", "call it oil_temperature_degC"),
-        ("load_kg", "a unit of load at the end of 'load_kg', but got 'kg': call it load_N"),
-    ],
-)
-def test_a_condition_without_its_unit_is_refused(column: str, words: str, tmp_path: Path) -> None:
-    _, (header, *rows) = rows_of(grid(), tmp_path)
-    with refused(words):
-        read(tmp_path, [[column if name == "oil_temperature_degC" else name for name in header], *rows])
+Rows = list[list[str]]
+
+
+def _name(column: str) -> Callable[[Rows], Rows]:
+    """The column of the temperature under another name."""
+    return lambda rows: [[column if name == "oil_temperature_degC" else name for name in rows[0]], *rows[1:]]
+
+
+def _read_as(row: int, text: str) -> Callable[[Rows], Rows]:
+    """Another temperature in a row."""
+    return lambda rows: [[*r[:2], text, *r[3:]] if i == row else r for i, r in enumerate(rows)]
 
 
 @pytest.mark.parametrize(
-    ("row", "text", "words"),
+    ("change", "words"),
     [
-        (5, "", "must have oil_temperature in every row, but row 6 has none (run 'a', 100 rpm; 1 rows in all)"),
-        (2, "-999", "above absolute zero in the column 'oil_temperature_degC', but row 3 has -999"),
+        (_name("oil_temperature"), "unit in the name of the column 'oil_temperature', but it has none: call it"),
+        (_name("oil_temperature_C"), "a unit of temperature at the end of 'oil_temperature_C', but got 'C'"),
+        (_name("oil_temperature_N"), "call it oil_temperature_degC"),
+        (_name("load_kg"), "a unit of load at the end of 'load_kg', but got 'kg': call it load_N"),
+        (_read_as(6, ""), "oil_temperature in every row, but row 6 has none (run 'a', 100 rpm; 1 rows in all)"),
+        (_read_as(3, "-999"), "above absolute zero in the column 'oil_temperature_degC', but row 3 has -999"),
+        (lambda rows: [*rows, rows[1]], "one row a run, speed, operating conditions, node and direction"),
+        (lambda rows: [*rows, rows[1]], "100 rpm, 45 degC, 500 N, node 0 x"),
     ],
 )
-def test_a_condition_that_a_row_lacks_or_that_no_thermometer_reads(
-    row: int, text: str, words: str, tmp_path: Path
-) -> None:
-    _, (header, *rows) = rows_of(grid(), tmp_path)
-    rows[row][2] = text
+def test_conditions_that_break_a_law_are_refused(change: Callable[[Rows], Rows], words: str, tmp_path: Path) -> None:
+    _, rows = rows_of(grid(), tmp_path)
     with refused(words):
-        read(tmp_path, [header, *rows])
+        read(tmp_path, change(rows))
 
 
 def test_a_run_may_lack_points_but_not_channels(tmp_path: Path) -> None:
@@ -156,12 +157,6 @@ def test_a_run_may_lack_points_but_not_channels(tmp_path: Path) -> None:
         read(tmp_path, [header, *rows[1:]])
     single = read(tmp_path, [header, *[row for row in rows if row[2:4] == ["45.0", "500.0"]][2:]])
     assert single.present.tolist() == [[False, True], [True, True]]
-
-
-def test_a_point_that_is_there_twice_is_named_with_its_conditions(tmp_path: Path) -> None:
-    _, rows = rows_of(grid(), tmp_path)
-    with refused("one row a run, speed, operating conditions, node and direction", "100 rpm, 45 degC, 500 N, node 0 x"):
-        read(tmp_path, [*rows, rows[1]])
 
 
 def test_conditions_within_the_tolerance_are_one_point_with_their_mean(tmp_path: Path) -> None:

@@ -37,10 +37,6 @@ def run(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, 
     return names
 
 
-def test_there_are_four() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["a_real_rig", "paper", "recordings", "study"]
-
-
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_no_output_is_kept(path: Path) -> None:
     """Outputs are of one machine and one day; git keeps the cells alone."""

@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 from running import ENVIRONMENT, ROOT
 
 DOCS = ROOT / "docs"
@@ -107,13 +106,3 @@ def test_commands_run_as_printed(tmp_path: Path) -> None:
             )
             failed |= {command: done.stderr[-500:]} if done.returncode else {}
     assert failed == {}
-
-
-def test_the_citation_has_what_its_format_asks_for() -> None:
-    """https://citation-file-format.github.io, version 1.2.0: what a citation must have, at each place."""
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
-    for entry in [citation, *citation["references"]]:
-        assert entry["title"]
-        assert entry["type"]
-        assert all({"name"} == one.keys() or "family-names" in one for one in entry["authors"])

@@ -17,7 +17,6 @@ from training import CHAINS, a_model, asked, errors, optimizer, setup_of, starts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
-from pipeline.config.models import NetworkModelConfig
 from pipeline.identification.held_out import held_out_speeds
 from pipeline.identification.model import coefficient_model
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
@@ -265,10 +264,3 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     other_held = replace(other.held_out, scale=clean.problem.scale)
     torch.testing.assert_close(other_train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
     assert not torch.equal(other_held.loss(parameters), clean.held_out.loss(parameters))
-
-
-def test_network_model_of_conf_is_the_one_that_is_built(hydrostatic: Machine) -> None:
-    config = NetworkModelConfig.model_validate(hydrostatic.config.model.model_dump() | {"width": 4, "depth": 3})
-    model = coefficient_model(config, ("kxx", "kyy"), {"speed": hydrostatic.speeds}, np.ones((2, 2)))
-    assert model.sizes == [(1, 4), (4, 4), (4, 4), (4, 2)]
-    assert model.n_parameters == 8 + 20 + 20 + 10

@@ -143,11 +143,6 @@ def test_halves_need_four_speeds() -> None:
         fit(task(Case(0.01, "bearings", 3), *FILM), setup())
 
 
-def test_other_losses_train_all_layers_anyway() -> None:
-    with pytest.raises(ConfigError, match="must come with kind: response"):
-        compose_config(["experiment=hydrostatic_stiffness", "+loss.hidden=trained"])
-
-
 @pytest.mark.parametrize("family", ["plain", "tilting_pad", "rolling", "unknown"])
 def test_a_network_starts_where_the_nodes_are(family: str) -> None:
     """A bearing drawn from the prior wanders from node to node: the start follows it to a tenth of 1 % noise."""

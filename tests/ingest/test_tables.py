@@ -202,11 +202,6 @@ def test_a_damaged_table_is_refused(case: str, tmp_path: Path) -> None:
         read(table_config(runs))
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with refused("must exist, but there is no such file", "nowhere.csv"):
-        read(table_config([RUNS[0] | {"file": str(tmp_path / "nowhere.csv")}]))
-
-
 def test_a_truncated_excel_file_is_refused(tmp_path: Path) -> None:
     runs = wide_runs(tmp_path, ".xlsx")
     path = Path(runs[0]["file"])

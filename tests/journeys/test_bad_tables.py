@@ -160,17 +160,6 @@ def eight_of(base: Config) -> Config:
     return base.model_copy(update={"identify": unknowns, "model": network})
 
 
-def test_fewer_runs_than_the_unknowns_need(base: Config, refused_by_train: Refused, mine: Path) -> None:
-    """Eight unknowns need two runs; with one, the sentence counts equations and unknowns."""
-    table = pd.read_parquet(mine / "vibration.parquet")
-    force = pd.read_csv(mine / "excitation.csv")
-    files = {
-        "vibration": stored(table[table["run"] == "one"], mine / "v.parquet"),
-        "excitation": stored(force[force["run"] == "one"], mine / "e.csv"),
-    }
-    refused_by_train(files, "4 of 8 unknowns", "2 real equations", kind=IdentifiabilityError, of=eight_of(base))
-
-
 @pytest.mark.parametrize("stage", ["train", "evaluate", "robustness"])
 def test_fewer_runs_than_the_unknowns_need_in_a_configuration(stage: str, run: Run, tmp_path: Path) -> None:
     overrides = [*SMALL, "model=network", f"identify.unknowns=[{','.join(COEFFICIENTS)}]"]
@@ -180,33 +169,34 @@ def test_fewer_runs_than_the_unknowns_need_in_a_configuration(stage: str, run: R
     assert not {"model.json", "metrics.json", "robustness.json"} & set(os.listdir(tmp_path / "x"))
 
 
-def test_two_runs_of_the_same_unbalance_count_as_one(base: Config, refused_by_train: Refused, mine: Path) -> None:
-    """Eight unknowns need independent orbits: the same run again, twice as strong, adds no equation."""
+@pytest.mark.parametrize(
+    ("again", "words"), [([], ["4 of 8 unknowns", "2 real equations"]), ([2], ["multiples of each other"])]
+)
+def test_fewer_independent_runs_than_the_unknowns_need(
+    again: list[int], words: list[str], base: Config, refused_by_train: Refused, mine: Path
+) -> None:
+    """Eight unknowns need two independent orbits: the same run again, twice as strong, adds no equation."""
     table = pd.read_parquet(mine / "vibration.parquet")
     force = pd.read_csv(mine / "excitation.csv")
     one, push = table[table["run"] == "one"], force[force["run"] == "one"]
-    again = one.assign(run="two", amplitude_m=2 * one["amplitude_m"])
-    push_again = push.assign(run="two", magnitude=2 * push["magnitude"])
+    runs = [one, *(one.assign(run="two", amplitude_m=size * one["amplitude_m"]) for size in again)]
+    pushes = [push, *(push.assign(run="two", magnitude=size * push["magnitude"]) for size in again)]
     files = {
-        "vibration": stored(pd.concat([one, again]), mine / "v.parquet"),
-        "excitation": stored(pd.concat([push, push_again]), mine / "e.csv"),
+        "vibration": stored(pd.concat(runs), mine / "v.parquet"),
+        "excitation": stored(pd.concat(pushes), mine / "e.csv"),
     }
-    refused_by_train(files, "multiples of each other", kind=IdentifiabilityError, of=eight_of(base))
+    refused_by_train(files, *words, kind=IdentifiabilityError, of=eight_of(base))
 
 
-@pytest.mark.parametrize(("stage", "law"), [*(("evaluate", law) for law in MODELLED), ("predict", MISSING)])
+@pytest.mark.parametrize(
+    ("stage", "law"), [*(("evaluate", law) for law in MODELLED), ("predict", MISSING), ("robustness", MISSING)]
+)
 def test_modelled_coefficients_that_break_a_law(stage: str, law: Law, run: Run, base: Config, mine: Path) -> None:
     words, change, came = law
     path = mine / "modelled_coefficients.csv"
     stored(change(pd.read_csv(path)), path)
     with left_alone(mine), refused(f"'{path}'", words, came):
         run(stage, base, mine)
-
-
-def test_modelled_coefficients_that_break_a_law_in_robustness(run: Run, base: Config, mine: Path) -> None:
-    (mine / "modelled_coefficients.csv").write_bytes(b"\xff\x00garbage")
-    with left_alone(mine), refused("modelled_coefficients.csv"):
-        run("robustness", base, mine)
 
 
 @pytest.mark.slow

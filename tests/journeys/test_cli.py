@@ -15,6 +15,7 @@ import pytest
 from conftest import assert_says
 from running import ENVIRONMENT, PYTHON, python
 
+from pipeline import __version__
 from pipeline.__main__ import Job, main
 from pipeline.config.compose import compose_config, expand_sweeps
 from pipeline.config.loader import list_options
@@ -65,13 +66,6 @@ def test_help_imports_nothing_heavy_and_is_no_mistake(tmp_path: Path) -> None:
     assert answer.stdout.splitlines()[-1] == "set()"
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    from pipeline import __version__
-
-    assert main(["--version"]) == 0
-    assert __version__ in capsys.readouterr().out
-
-
 @pytest.mark.slow
 def test_a_stage_may_compose_while_it_runs(
     runs: list[Config], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -92,6 +86,7 @@ MISTAKES = [
     (["--config-name=other"], ["conf/config.yaml"]),
     (["-m", "--cfg", "job"], ["more than one of"]),
     (["--resolve"], ["--cfg job"]),
+    (["-m", "hydra/launcher=joblib", "stage=train,evaluate"], ["one after the other"]),
 ]
 
 
@@ -108,9 +103,21 @@ def test_a_mistake_is_answered_before_anything_runs(
 
 
 @pytest.mark.slow
-def test_what_only_hydra_can_see_is_a_sentence_too(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["hydra.run.dir=${nothing}"]) == 2
-    assert "nothing" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--version"], 0, f"{__version__}\n"),
+        (["seed=77", "--cfg", "job"], 0, "seed: 77"),
+        (["--cfg", "job", "--package", "nothing"], 2, ""),
+        (["hydra.run.dir=${nothing}"], 2, "nothing"),
+    ],
+)
+def test_what_is_answered_without_a_run(
+    arguments: list[str], code: int, words: str, runs: list[Config], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also what only Hydra can see is a sentence."""
+    assert main(arguments) == code
+    assert words in capsys.readouterr()[bool(code)]
     assert runs == []
 
 
@@ -145,14 +152,6 @@ def test_exit_code_of_what_a_stage_raises(
     assert bool(fragment) == bool(err)
     assert out == ""
     assert ("Traceback" in err) == ("please report" in err) == (code == 70), "a bug keeps its traceback"
-
-
-@pytest.mark.slow
-def test_a_mistake_in_a_real_process(tmp_path: Path) -> None:
-    answer = python("-m", "pipeline", "experiment=ball_bearing", "stage=trian", cwd=tmp_path)
-    assert (answer.returncode, answer.stdout) == (2, "")
-    assert answer.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
@@ -211,12 +210,6 @@ def test_a_run_stays_in_its_folder_and_writes_nothing_of_its_own(runs: list[Conf
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_configuration_is_printed(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["seed=77", "--cfg", "job"]) == 0
-    assert "seed: 77" in capsys.readouterr().out
-    assert runs == []
-
-
 @pytest.mark.slow
 def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
     answer = python(
@@ -224,11 +217,6 @@ def test_how_the_configuration_was_composed_is_printed(tmp_path: Path) -> None:
     )  # it prints through a logger that would stay
     assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
     assert "seed: 77" in answer.stdout
-
-
-@pytest.mark.slow
-def test_an_unknown_package_is_a_mistake(runs: list[Config]) -> None:
-    assert main(["--cfg", "job", "--package", "nothing"]) == 2
 
 
 @pytest.mark.slow
@@ -307,11 +295,3 @@ def test_workers_find_the_job_by_name() -> None:
     job = Job(multirun=True, fixed=frozenset({"seed"}), count=2)
     assert Job.__module__ == "pipeline.__main__"
     assert pickle.loads(pickle.dumps(job)) == job
-
-
-@pytest.mark.slow
-def test_a_parallel_multirun(runs: list[Config], capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    assert main(["-m", "hydra/launcher=joblib", "stage=train,evaluate"]) == 2
-    assert "one after the other" in capsys.readouterr().err
-    assert runs == []

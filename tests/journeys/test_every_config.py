@@ -239,7 +239,7 @@ def test_every_option_is_tried_by_day() -> None:
 def test_all_stages_are_tried_here() -> None:
     """A new stage is added to these tests, or tried in a test file of its own (such as test_summary.py)."""
     elsewhere = {
-        *("configure", "check", "tune", "samplers", "diagnose", "senses", "design", "ingest", "compare", "summary"),
+        *("configure", "check", "tune", "diagnose", "senses", "design", "ingest", "compare", "summary"),
         *(
             "new",
             "identify",
@@ -250,7 +250,6 @@ def test_all_stages_are_tried_here() -> None:
             "balance",
             "choose",
             "promote",
-            "dashboard",
         ),
     }
     assert set(LINE) | elsewhere == set(STAGES)

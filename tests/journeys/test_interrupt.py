@@ -45,10 +45,10 @@ def account(folder: Path) -> dict[str, Any]:
     return told
 
 
-def losses(folder: Path) -> list[float]:
-    """Held-out losses of history.csv, by which the best state is chosen."""
+def losses(folder: Path, column: str = "held_out_loss") -> list[float]:
+    """Those of history.csv by which the best state is chosen."""
     with (folder / "history.csv").open(newline="") as file:
-        return [float(row["held_out_loss"]) for row in csv.DictReader(file)]
+        return [float(row[column]) for row in csv.DictReader(file)]
 
 
 Progress = Callable[[str, int, int, float], None]
@@ -78,18 +78,19 @@ PHASES = {
 }
 
 
-@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize(("step", "score"), [(1, "held_out_loss"), (4, "held_out_loss"), (4, "loss")])
 @pytest.mark.parametrize("phase", PHASES)
 def test_ctrl_c_in_any_phase_keeps_the_best_state(
     phase: str,
     step: int,
+    score: str,
     run: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Exit code 130, a sentence, and a complete model: the best of all steps until then."""
-    config = compose_config([*COARSE, *PHASES[phase]])
+    config = compose_config([*COARSE, *PHASES[phase], *["training.holdout_every=0"] * (score == "loss")])
     monkeypatch.setattr(train, "training_progress", interrupting(phase, step))
     with pytest.raises(SystemExit) as stop:
         run("train", config, tmp_path / "x")
@@ -98,8 +99,8 @@ def test_ctrl_c_in_any_phase_keeps_the_best_state(
     assert names_in(tmp_path / "x") == DATA | ANSWER
     told = account(tmp_path / "x")
     assert told["outcome"] == "interrupted"
-    assert told["held_out_loss"] <= min(losses(tmp_path / "x")) * (1 + 1e-12)  # each bearing at its own best step
-    assert 0 <= len(losses(tmp_path / "x")) - told["steps"] <= 1  # the last one was not finished
+    assert told[score] <= min(losses(tmp_path / "x", score)) * (1 + 1e-12)  # each bearing at its own best step
+    assert 0 <= len(losses(tmp_path / "x", score)) - told["steps"] <= 1  # the last one was not finished
     assert np.isfinite(load_model(tmp_path / "x").values(np.array([100.0, 200.0]))).all()
 
 

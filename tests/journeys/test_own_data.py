@@ -18,8 +18,7 @@ from pipeline.config.loader import RESULTS, STAGES
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.stages import identify
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.execution import record
+from pipeline.stages.analysis import Analysis, record
 
 EXAMPLE = ROOT / "examples" / "measured_demo"
 TRUTH = {  # of make_recordings.py

@@ -206,7 +206,16 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
 
     settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
     history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
-    record = StageRecord("x", "train", 1.0, 2.0, {"seed": 3}, {"outcome": "converged"}, {"error": 0.5}, history=history)
+    record = StageRecord(
+        {"error": 0.5},
+        {"outcome": "converged"},
+        experiment="x",
+        stage="train",
+        started=1.0,
+        ended=2.0,
+        parameters={"seed": 3},
+        history=history,
+    )
     with recorder_beside(True):
         if killed:
             process, connection = tracker._running[0]
@@ -233,13 +242,13 @@ def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
         "settings = TrackingConfig(enabled=True, uri='sqlite:///mlflow.db', timeout_seconds=30.0)\n"
         "with recorder_beside(True):\n"
         "    print(psutil.Process(tracker._running[0][0]).ppid(), os.getppid())\n"
-        "    assert not track(StageRecord('x', 'train', 1.0, 2.0, {}, {}, {'error': 0.5}), settings)\n"
+        "    assert not track(StageRecord({'error': 0.5}, experiment='x', stage='train', ended=2.0), settings)\n"
     )
     (tmp_path / "stage.py").write_text(command)
     both = '"$0" stage.py && cd folder && "$0" ../stage.py; exit 3'
     (tmp_path / "folder").mkdir()
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    shared = [sys.executable, "-m", "pipeline.tracking", "bash", "-c", both, sys.executable]
+    shared = [sys.executable, str(ROOT / "docs" / "recorder.py"), "bash", "-c", both, sys.executable]
     ended = subprocess.run(shared, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=120)
     assert (ended.returncode, ended.stderr) == (3, "")
     first, second = (line.split() for line in ended.stdout.splitlines())

@@ -17,7 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.problem.design import Candidates, inform_coefficients, plan_speeds, plan_states, scale_to_limits
 from pipeline.problem.planning import Planner, plan_coefficients
 from pipeline.rotor.stored import load_rotor
-from pipeline.stages import refit_study
+from pipeline.stages import robustness
 
 COARSE = ["experiment=realistic", "machine.speeds={start_rpm: 900, stop_rpm: 5700, step_rpm: 240}"]
 FEW = [*COARSE, "identify.unknowns=[kxx,kyy]", "design.functions=4"]
@@ -172,7 +172,7 @@ def test_fits_of_the_designed_runs_are_as_accurate_as_predicted(run: Run, tmp_pa
     series = ["model=chebyshev", "model.count=3", "model.trend=false", "model.input_scaling=rpm"]
     file = f"machine.runs_file='{tmp_path / 'designed_excitation.yaml'}'"
     config = compose_config(["stage=robustness", *FEW, *series, file])
-    error = np.array([refit_study.measure_again(config, seed).error for seed in range(6)])
+    error = np.array([robustness.measure_again(config, seed).error for seed in range(6)])
     ratio = error / (67.45 * np.array(list(about["predicted"].values())))
     print(f"error over prediction {ratio.mean():.2f}")
     assert 0.6 < ratio.mean() < 1.6

@@ -216,13 +216,6 @@ def test_a_structure_is_respected_exactly(
         np.testing.assert_allclose(found.coefficient(name), table.coefficient(name), rtol=7e-5)
 
 
-def test_bearings_alike_are_exactly_alike(rotor_of: Machine) -> None:
-    table = table_of(rotor_of, ANISOTROPIC, ANISOTROPIC)
-    found = trained(rotor_of, table, (*UNBALANCES, BACKWARD), "identify.shared=true")
-    assert np.array_equal(found.values[0], found.values[1])
-    np.testing.assert_allclose(found.values, table.values, rtol=1e-5)
-
-
 def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     exception = "+identify.bearings={5: {unknowns: [kxx, kyy], structure: isotropic}}"

@@ -27,7 +27,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import CylindricalBearingConfig, PerNodeBearingConfig
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
-from pipeline.stages import refit_study
+from pipeline.stages import robustness
 from pipeline.stages.analysis import Analysis
 
 SMALL = [
@@ -241,8 +241,8 @@ def test_bearing_and_pedestal_are_springs_in_series() -> None:
 def test_refits_are_the_same_in_one_process_and_in_two() -> None:
     """Every data set is its seed's; so are its errors."""
     config = compose_config(["stage=robustness", *SMALL, "robustness.count=2", "robustness.workers=2"])
-    together = refit_study.refit_all(config)
-    alone = [refit_study.measure_again(config, seed) for seed in (0, 1)]
+    together = robustness.refit_all(config)
+    alone = [robustness.measure_again(config, seed) for seed in (0, 1)]
     for one, other in zip(together, alone, strict=True):
         assert one.names == other.names == ((1, "kxx"), (1, "kyy"), (6, "kxx"), (6, "kyy"))
         assert one.error == pytest.approx(other.error, rel=1e-6)
@@ -257,7 +257,7 @@ def test_refits_need_a_modelled_machine() -> None:
     """Recordings can't be made again."""
     config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])
     with pytest.raises(ConfigError, match="robustness over refits must have loss=response and a modelled machine"):
-        refit_study.run(Analysis(config))
+        robustness.run(Analysis(config))
 
 
 @pytest.mark.slow
@@ -266,15 +266,15 @@ def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pyte
     pedestal = "+machine.as_built={pedestal_stiffness: 2e8 N/m, pedestal_mass: 20 kg}"
     stated = ["experiment=realistic", "machine=overhung", "~identify.model_parameters"]
     config = compose_config(["stage=robustness", *stated, pedestal])
-    film = refit_study.measure_again(config, 0)
+    film = robustness.measure_again(config, 0)
 
     def felt(one: Config, seed: int) -> tuple[RotorModel, BearingTable, VibrationDataset]:
         rotor, truth, complete = model_machine(one, seed)
         assert one.machine.as_built is not None
         return rotor, stand_on_pedestals(truth, one.machine.as_built), complete
 
-    monkeypatch.setattr(refit_study, "model_machine", felt)
-    series = refit_study.measure_again(config, 0)
+    monkeypatch.setattr(robustness, "model_machine", felt)
+    series = robustness.measure_again(config, 0)
     assert np.median(film.error) > 10
     assert np.median(series.error) < 1.5
     assert series.within.mean() > 75
@@ -286,7 +286,7 @@ def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pyte
 @pytest.mark.parametrize("seed", [23, 67])
 def test_far_from_the_stated_model_the_fit_reaches_its_minimum(seed: int) -> None:
     """Data sets whose fit ended in another valley when the readings counted in full from the start."""
-    found = refit_study.measure_again(compose_config(["stage=robustness", "experiment=realistic"]), seed)
+    found = robustness.measure_again(compose_config(["stage=robustness", "experiment=realistic"]), seed)
     assert found.misfit < 1.1
     assert found.probability is not None
     assert found.probability > 0.01

@@ -192,17 +192,6 @@ def _names(paths: list[str]) -> set[str]:
     return {Path(path).name for path in paths}
 
 
-def test_training_opens_no_file_of_the_truth(
-    run: Run, config: Config, trained: Path, tmp_path: Path, opened: list[str]
-) -> None:
-    """While stage=train runs, no file named like the truth is opened; the files that it should read are."""
-    folder = Path(shutil.copytree(trained, tmp_path / "x"))
-    opened.clear()
-    run("train", config, folder)
-    assert [path for path in opened if "modelled_coefficients" in path] == []
-    assert {"excitation.csv", "known_coefficients.csv"} <= _names(opened)
-
-
 def test_robustness_opens_the_truth_after_training(
     run: Run, config: Config, trained: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -159,17 +159,6 @@ def test_everything_in_a_record_is_read_back(
     assert (tmp_path / "my project" / "mlruns" / "rotor rig" / run.info.run_id).is_dir()
 
 
-def test_stages_of_one_experiment_are_found_together(settings: TrackingConfig) -> None:
-    for stage in ("generate", "train"):
-        assert track(record(stage=stage, tags={"pipeline.group": "g1"}), settings) == []
-    assert track(record(experiment="other", tags={"pipeline.group": "g2"}), settings) == []
-    client = Logged(settings).client
-    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
-    found = client.search_runs(experiments, "tags.`pipeline.group` = 'g1'")
-    assert {run.info.run_name for run in found} == {"generate", "train"}
-    assert len({run.info.experiment_id for run in found}) == 1
-
-
 def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: TrackingConfig, tmp_path: Path) -> None:
     files = [tmp_path / folder / "metrics.json" for folder in ("a", "b")]
     for file in files:
@@ -193,7 +182,7 @@ def test_disabled_tracking_does_nothing(tmp_path: Path) -> None:
         "from pipeline.tracking import *\n"
         "from pipeline.config.schema import TrackingConfig\n"
         "off = TrackingConfig(enabled=False, uri='sqlite:///x.db', timeout_seconds=10)\n"
-        "problems = track(StageRecord('e', 's', 0, 1, {}, {}, {}), off)\n"
+        "problems = track(StageRecord(experiment='e', stage='s', ended=1.0), off)\n"
         "assert problems == []\n"
         "heavy = {'mlflow', 'pandas', 'torch', 'filelock', 'yaml'} & sys.modules.keys()\n"
         "assert not heavy, heavy\n"
@@ -332,7 +321,9 @@ def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
         while not Path("go").exists():
             time.sleep(0.001)
         settings = TrackingConfig(enabled=True, uri="sqlite:///mlflow.db", timeout_seconds=10.0)
-        print(track(StageRecord("e", sys.argv[2], 1, 2, {"a": 1}, {}, {"m": 1.0}), settings))
+        print(track(StageRecord(
+            {"m": 1.0}, experiment="e", stage=sys.argv[2], started=1.0, ended=2.0, parameters={"a": 1}
+        ), settings))
     """
     command = [sys.executable, "-W", "error", "-c", code, str(CHECKOUT)]
     processes = [

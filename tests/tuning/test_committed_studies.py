@@ -8,13 +8,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import yaml
+from dashboard import add_trials, gather_studies
 from running import contents
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, DataError
 from pipeline.stages import run_stage
+from pipeline.tuning.finalists import TRIALS, format_trials
 from pipeline.tuning.storage import open_storage
-from pipeline.tuning.trials_file import TRIALS, add_trials, format_trials, gather_studies
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "studies").glob(f"*/{TRIALS}"))
@@ -112,8 +113,3 @@ def test_what_can_not_be_promoted(override: str, words: str, found: list[str], t
     with pytest.raises(ConfigError, match=words):
         run_stage(compose_config([*found, override]))
     assert not (tmp_path / "studies").exists()
-
-
-def test_a_study_writes_into_a_folder_of_its_own_name() -> None:
-    tuning = compose_config(["stage=tune", "tuning.study=mine"]).tuning
-    assert (tuning.folder, tuning.promoted) == ("artifacts/studies/mine", "studies/hydrostatic_stiffness")

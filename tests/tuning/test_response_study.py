@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.studies import pose_study
+from pipeline.stages.tune import pose_study
 from pipeline.tuning.finalists import choose, train_finalists
 from pipeline.tuning.space import find_default, translate
 from pipeline.tuning.study import StudyProblem
@@ -73,16 +72,6 @@ def test_a_study_that_was_stopped_goes_on_as_if_it_had_not(whole: StudyProblem, 
     assert len(values_of(problem)) == 2
     run_study(problem, silent)
     assert values_of(problem) == pytest.approx(values_of(whole), rel=1e-9)
-
-
-def test_the_truth_is_never_read(whole: StudyProblem, tmp_path: Path) -> None:
-    """Other numbers in the place of the unknown coefficients change nothing."""
-    measurement = whole.measurement
-    unknown = measurement.unknowns.identified[:, None]
-    spoilt = replace(measurement.known, values=np.where(unknown, 1e12, measurement.known.values))
-    problem = replace(stored_in(whole, tmp_path / "optuna.db"), measurement=replace(measurement, known=spoilt))
-    run_study(problem, silent)
-    assert values_of(problem) == values_of(whole)
 
 
 def test_finalists_are_trained_with_every_seed(whole: StudyProblem) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dashboard import show
 from running import BROWSER, FEW_SPEEDS, NO_BROWSER, ROOT, open_in_browser
 
 from pipeline.config.compose import compose_config
@@ -105,7 +106,7 @@ def dashboard(studied: Studied, tmp_path: Path) -> Iterator[Data]:
 def test_the_committed_studies_open_in_a_browser(tmp_path: Path) -> None:
     """As ``make dashboard`` shows them: their names, and the figures of each."""
     storage = f"sqlite:///{tmp_path}/optuna.db"
-    run_stage(compose_config(["stage=dashboard", f"tuning.storage={storage}", "tracking=none"]))
+    show([f"tuning.storage={storage}", "tracking=none"])
     studies = [path.parent.name for path in (ROOT / "studies").glob("*/trials.jsonl")]
     with serve(storage, tmp_path) as address:
         page, _ = open_in_browser(f"{address}/dashboard/")

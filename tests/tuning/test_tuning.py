@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,8 @@ import yaml
 from conftest import assert_says, examples
 from hypothesis import given
 from hypothesis import strategies as st
+from samplers import run as compare_samplers
+from samplers import track_best
 
 from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
@@ -171,9 +172,8 @@ def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
         assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
         assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
-    for stage in ("tune", "samplers"):
-        config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
-        assert (config.model.width, config.promoted) == (48, None)
+    config = compose_config(["stage=tune", f"tuning.promoted={study}"])
+    assert (config.model.width, config.promoted) == (48, None)
 
 
 @pytest.mark.parametrize(
@@ -197,11 +197,6 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
         section, field = key.split(".")
         assert getattr(getattr(config, section), field) == getattr(getattr(plain, section), field)
     assert len(config.promoted.in_force) == 3 - len(overridden)
-
-
-def test_tuned_false_leaves_them_out(study: Path) -> None:
-    (study / "best.yaml").write_text("{")
-    assert compose_config([f"tuning.promoted={study}", "tuned=false"]).model.width == 48
 
 
 @pytest.mark.parametrize(
@@ -359,28 +354,9 @@ def test_a_finished_study_is_not_made_again(finished: Path, capsys: pytest.Captu
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_the_truth_changes_no_trial_and_no_choice(finished: Path, tmp_path: Path) -> None:
-    """With other modelled coefficients the same trials are made and the same values promoted: only errors differ."""
-    folder = tmp_path / "lied"
-    shutil.copytree(finished / "data", folder / "data")
-    truth = pd.read_csv(folder / "data" / "modelled_coefficients.csv")
-    truth.iloc[:, 2:] = -7.0 * truth.iloc[:, 2:] + 1.0
-    truth.to_csv(folder / "data" / "modelled_coefficients.csv", index=False)
-    run_stage(small(folder))
-    told, lie = (pd.read_csv(f / "study" / "trials.csv") for f in (finished, folder))
-    same = [name for name in told if name != "training_seconds"]
-    pd.testing.assert_frame_equal(told[same], lie[same])
-    assert (folder / "study" / "best.yaml").read_text() == (finished / "study" / "best.yaml").read_text()
-    told, lie = (pd.read_csv(f / "study" / "finalists.csv") for f in (finished, folder))
-    pd.testing.assert_series_equal(told["held_out_loss"], lie["held_out_loss"])
-    assert not np.allclose(told["kxx_mean_error_percent"], lie["kxx_mean_error_percent"])
-
-
-@pytest.mark.usefixtures("no_pictures")
 def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As many trials of each sampler and seed, in studies of their own, and a sentence on who won."""
-    given = ["stage=samplers", "tuning.comparison.seeds=[0,1]", "tuning.comparison.samplers=[tpe,random]"]
-    run_stage(small(finished, *given))
+    compare_samplers(small(finished), ["tpe", "random"], [0, 1])
     table = pd.read_csv(finished / "study" / "samplers.csv")
     assert table.groupby(["sampler", "seed"]).size().tolist() == [5, 5, 5, 5]
     assert (table.groupby(["sampler", "seed"])["best_held_out_loss"].diff().dropna() <= 0).all()
@@ -423,7 +399,6 @@ def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], cho
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.stages.samplers import track_best
     from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
@@ -434,14 +409,6 @@ def test_the_best_so_far_leaves_the_default_out() -> None:
         for i, (state, loss) in enumerate(zip(states, losses, strict=True))
     ]
     assert track_best(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
-
-
-def test_speeds_are_held_out_inside_the_range() -> None:
-    from pipeline.identification.held_out import held_out_speeds
-
-    mask = held_out_speeds(591, untuned().training.holdout_every)
-    assert not mask[[0, -1]].any()
-    assert mask.sum() == 59
 
 
 STUDIES = Path(__file__).parents[2] / "studies"

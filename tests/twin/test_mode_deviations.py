@@ -58,27 +58,31 @@ def test_derivatives_by_coefficients_equal_differences(hydrostatic: Machine) -> 
     assert by_coefficient.shape == (len(values), 2, 8)
 
 
-@pytest.mark.parametrize("kind", ["youngs_modulus", "density", "disc_mass", "disc_inertia", "coupling_stiffness"])
-def test_derivatives_by_model_parameters_equal_differences(kind: str, hydrostatic: Machine) -> None:
-    rotor, bearings, s = hydrostatic.rotor, hydrostatic.bearings, 12
-    parameter = ModelParameter(kind, 1e5 if kind == "coupling_stiffness" else 0.02, "", 2)
-    by_rotor = derive(rotor, bearings, s, [rotor_change(parameter, rotor), None])[2]
+@pytest.mark.parametrize(
+    ("kind", "size", "place"),
+    [
+        ("youngs_modulus", 0.02, 2),
+        ("density", 0.02, 2),
+        ("disc_mass", 0.02, 2),
+        ("disc_inertia", 0.02, 2),
+        ("coupling_stiffness", 1e5, 2),
+        ("bearing_position", 0.005, 1),
+    ],
+)
+def test_derivatives_by_model_parameters_equal_differences(
+    kind: str, size: float, place: int, hydrostatic: Machine
+) -> None:
+    """Also by the place of a bearing inside an element, 20 mm beyond the node."""
+    rotor, bearings, s = move_bearing(hydrostatic.rotor, 1, 0.02), hydrostatic.bearings, 12
+    parameter = ModelParameter(kind, size, "", place)
+    moves = kind == "bearing_position"
+    change = derive_place(rotor, parameter, bearings.values[:, s]) if moves else rotor_change(parameter, rotor)
+    by_rotor = derive(rotor, bearings, s, [change, None])[2]
     step = 1e-3
     ends = [eigenvalues(update_rotor(rotor, [parameter], np.array([v])), bearings, s) for v in (step, -step)]
     differences = (ends[0] - ends[1]) / (2 * step)
     np.testing.assert_allclose(by_rotor[:, 0], differences, atol=1e-4 * np.abs(differences).max())
     assert not by_rotor[:, 1].any()
-
-
-def test_the_derivative_by_a_place_of_a_bearing_equals_differences(hydrostatic: Machine) -> None:
-    """Inside an element, 20 mm beyond the node."""
-    parameter, bearings, s = ModelParameter("bearing_position", 0.005, "", 1), hydrostatic.bearings, 12
-    rotor = move_bearing(hydrostatic.rotor, 1, 0.02)
-    found = derive(rotor, bearings, s, [derive_place(rotor, parameter, bearings.values[:, s])])[2][:, 0]
-    step = 1e-3
-    ends = [eigenvalues(update_rotor(rotor, [parameter], np.array([v])), bearings, s) for v in (step, -step)]
-    differences = (ends[0] - ends[1]) / (2 * step)
-    np.testing.assert_allclose(found, differences, atol=1e-4 * np.abs(differences).max())
 
 
 def toy(machine: Machine) -> tuple[WhirlModes, ModeDeviations, np.ndarray]:

@@ -167,12 +167,17 @@ def test_crossings_of_straight_lines_are_exact(constant: float, slope: float, co
     assert found[0].logarithmic_decrement == pytest.approx(1e-3 * found[0].speed)
 
 
-def test_lines_that_jump_or_miss_make_no_critical_speed() -> None:
-    """A mode that becomes overdamped makes those above change places: a jump is no crossing, nor is NaN."""
-    speeds = np.linspace(10, 100, 10)
-    above, below = np.full(10, 200.0), np.full(10, 5.0)
-    jumping = np.where(speeds < 55, 40.0 + speeds, 20.0)
-    assert find_critical_speeds(made_modes(speeds, below, jumping, above, np.full(10, np.nan))) == []
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [np.full(10, 5.0), np.where(np.arange(10) < 5, 50.0 + 10 * np.arange(10), 20.0), np.full(10, 200.0)],
+        [np.full(10, np.nan)],
+        [np.array([60.0])],
+    ],
+)
+def test_lines_that_jump_or_miss_make_no_critical_speed(lines: list[np.ndarray]) -> None:
+    """A mode that becomes overdamped makes those above change places: a jump is no crossing, nor NaN, nor a point."""
+    assert find_critical_speeds(made_modes(np.linspace(10, 100, 10)[: len(lines[0])], *lines)) == []
 
 
 @pytest.mark.parametrize("critical", [10.0, 50.0, 90.0])
@@ -181,10 +186,6 @@ def test_speed_exactly_on_the_line(critical: float) -> None:
     found = find_critical_speeds(made_modes(np.arange(10.0, 100.0, 10.0), np.full(9, critical)))
     assert [one.speed for one in found] == [pytest.approx(critical)]
     assert found[0].logarithmic_decrement == pytest.approx(1e-3 * critical)
-
-
-def test_one_speed_has_no_crossing() -> None:
-    assert find_critical_speeds(made_modes(np.array([50.0]), np.array([60.0]))) == []
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.0, True), (0.95, True), (1.05, False), (-1.05, False)])

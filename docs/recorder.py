@@ -1,4 +1,4 @@
-"""``python -m pipeline.tracking COMMAND ...``: run a command whose stages share one import of MLflow.
+"""``python docs/recorder.py COMMAND ...``: run a command whose stages share one import of MLflow.
 
 Each stage of `dvc repro` is a process of its own, and so is its recorder, which works 4 s to import MLflow and 0.5 s to
 log. Here MLflow is imported once, and each recorder is a fork of that process (Linux, macOS).
@@ -26,7 +26,7 @@ def main(command: Sequence[str]) -> int:
     """Run the command, and return its exit code."""
     if not command or not shutil.which(command[0]):
         came = f"got '{command[0]}'" if command else "there is none"
-        print(f"python -m pipeline.tracking must have a command to run, such as dvc repro, but {came}", file=sys.stderr)
+        print(f"python docs/recorder.py must have a command to run, such as dvc repro, but {came}", file=sys.stderr)
         return MISTAKE
     with tempfile.TemporaryDirectory(prefix="recorder-") as folder:
         address = str(Path(folder, "socket"))
