@@ -139,12 +139,6 @@ class TrainedNetworks(OutputError):
 # --- from an answer at nodes -----------------------------------------------------------------------------
 
 
-STEEP = 3.0
-"""A hidden unit bends within a third of what it does in a network of its own, about two of fourteen nodes. Wider ones
-can't follow bearings whose coefficients wander from node to node: on one of them training stopped at twice the
-chi-square of the nodes. Units twice as steep follow the noise between nodes."""
-
-
 def train_from_nodes(
     fit: OutputErrorFit,
     setup: FitSetup,
@@ -152,7 +146,7 @@ def train_from_nodes(
     *,
     hold: float = 1e-4,
     points_a_node: int = 8,
-    steep: float = STEEP,
+    steep: float = 3.0,
     still: float = 3e-4,
     patience: int = 5,
 ) -> OutputErrorFit:
@@ -161,7 +155,9 @@ def train_from_nodes(
     Args:
         hold: information on each weight about its start, so that none is free.
         points_a_node: at so many times as many places the start follows the answer.
-        steep: how much more sharply the hidden units bend than those of a network of its own.
+        steep: a hidden unit bends within a third of what it does in a network of its own, about two of fourteen nodes.
+            Wider ones can't follow bearings whose coefficients wander from node to node: on one of them training
+            stopped at twice the chi-square of the nodes. Units twice as steep follow the noise between nodes.
         still: training ends where ``patience`` steps lower the loss by less than this share, which is about one of
             chi-square: far less than what the readings leave open.
     """

@@ -20,7 +20,7 @@ from pipeline.identification.model import coefficient_model
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import STEEP, TrainedNetworks, keep_all, start_networks
+from pipeline.identification.trained_network import TrainedNetworks, keep_all, start_networks
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.impedance import PLACES
 from pipeline.laws.population import make_priors
@@ -156,5 +156,5 @@ def test_a_network_starts_where_the_nodes_are(family: str) -> None:
     spline = coefficient_model(config, tuple(PLACES), {"speed": speeds}, np.ones((1, 8)))
     model, wanted = replace(spline, functions=None, n_functions=0, **config.network), torch.as_tensor(between)
     generator, rest = torch.Generator().manual_seed(0), torch.zeros(1, 1, 0, dtype=torch.float64)
-    start = start_networks(model, np.zeros((1, 8)), generator, over, wanted[None, None], rest, steep=STEEP)
+    start = start_networks(model, np.zeros((1, 8)), generator, over, wanted[None, None], rest, steep=3.0)
     assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 2e-3
