@@ -51,24 +51,22 @@ def test_readme_is_short() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_link_leads_somewhere(page: Path) -> None:
     """A link to another page, file or picture; those of the internet are left alone."""
-    targets = [one for one in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in one]
-    assert [one for one in targets if not (page.parent / one).exists()] == []
+    targets = _LINK.findall(page.read_text(encoding="utf-8"))
+    assert [one for one in targets if "://" not in one and not (page.parent / one).exists()] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_site_reads_a_page_as_git_does(page: Path) -> None:
     """Python-Markdown wants a blank line before a list, and four spaces where a list goes on after one."""
     pairs = list(itertools.pairwise(["", *page.read_text(encoding="utf-8").splitlines()]))
-    lists = [line for before, line in pairs if _ITEM.match(line) and _PARAGRAPH.match(before)]
-    blocks = [line for before, line in pairs if re.match(r" {2,3}\S", line) and not before]
-    assert lists + blocks == []
+    assert [line for before, line in pairs if _ITEM.match(line) and _PARAGRAPH.match(before)] == []
+    assert [line for before, line in pairs if re.match(r" {2,3}\S", line) and not before] == []
 
 
 def test_every_page_is_in_the_navigation() -> None:
-    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    listed = re.findall(r"[\w/]+\.(?:md|ipynb)\b", text[text.index("\nnav:") :])
-    pages = [*DOCS.rglob("*.md"), *DOCS.glob("notebooks/*.ipynb")]
-    assert sorted(listed) == sorted({page.relative_to(DOCS).as_posix() for page in pages} - BUILT_WITHOUT)
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    pages = {page.relative_to(DOCS).as_posix() for page in (*DOCS.rglob("*.md"), *DOCS.glob("notebooks/*.ipynb"))}
+    assert sorted(re.findall(r"[\w/]+\.(?:md|ipynb)\b", navigation)) == sorted(pages - BUILT_WITHOUT)
 
 
 @pytest.mark.slow
