@@ -24,11 +24,11 @@ def write_number(value: float | None, deviation: float | None = None, digits: in
     if deviation is None or not math.isfinite(deviation) or deviation <= 0:
         return _round(value, digits) + (" +- 0" if deviation == 0 else "")
     place = math.floor(math.log10(float(f"{deviation:.1e}"))) - 1  # of the last digit
-    place = max(place, math.floor(math.log10(abs(value))) - _MOST_DIGITS) if value else place
+    if value:
+        place = max(place, math.floor(math.log10(abs(value))) - _MOST_DIGITS)
     if place < -_MOST_DECIMALS:
         return f"{value:.{digits}g} +- {deviation:.2g}"
-    shown = [f"{round(number, -place) + 0.0:.{max(-place, 0)}f}" for number in (value, deviation)]  # no -0
-    return " +- ".join(shown if float(shown[1]) else (shown[0], "0"))
+    return " +- ".join(f"{round(number, -place) + 0.0:.{max(-place, 0)}f}" for number in (value, deviation))  # no -0
 
 
 def write_percent(share: float, sign: str = "") -> str:
