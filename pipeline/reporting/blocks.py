@@ -7,6 +7,7 @@ markers. What has no finite number is neither drawn nor named.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import NamedTuple, TypeAlias
@@ -267,4 +268,4 @@ Section: TypeAlias = tuple[str, str, Sequence[Block]]
 
 def typeset(text: object) -> str:
     """What the terminal says, as a page prints it."""
-    return str(text).replace("+-", "±")
+    return re.sub(r"\bum\b", "µm", str(text).replace("+-", "±"))

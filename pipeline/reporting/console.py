@@ -42,13 +42,17 @@ def warn(text: str) -> None:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Print a table on stdout, unless it has no rows; the first column is left-aligned, the others right."""
+    """Print a table on stdout, unless it has no rows; the first column is left-aligned, the others right.
+
+    A column of long sentences is wrapped where there is no room: it takes none from the others.
+    """
     from rich import box
     from rich.table import Table
 
     drawn = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for i, name in enumerate(header):
-        drawn.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+        short = all(len(str(row[i])) <= 100 for row in rows)
+        drawn.add_column(name, justify="right" if i and short else "left", no_wrap=short)
     for row in rows:
         drawn.add_row(*map(str, row))
     if rows:

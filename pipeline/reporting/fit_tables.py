@@ -329,11 +329,10 @@ def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
     for entry in judged["bearings"]:
         say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
     whole = judged["machine"]
-    lines = [
-        f"{name}: {whole['verdict']}. {whole['reason']}",
-        *([f"next: {whole['next']}"] if whole["next"] else []),
-        *([f"what is identified: {whole['identified']}"] if whole["identified"] == AS_FELT else []),
-    ]
-    say("\n".join(lines))
+    say(
+        f"{name}: {whole['verdict']}. {whole['reason']}"
+        + (f"\nnext: {whole['next']}" if whole["next"] else "")
+        + (f"\nwhat is identified: {whole['identified']}" if whole["identified"] == AS_FELT else "")
+    )
     if whole["reservation"]:
         warn(f"{name}: {whole['reservation']}")

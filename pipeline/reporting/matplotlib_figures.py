@@ -192,7 +192,9 @@ def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> 
     """A legend inside: where the curves leave room, or above them if there are more than a ``few`` keys."""
     short = max(len(key.get_label()) for key in keys) < 25
     if len(keys) <= few:
-        ax.legend(handles=keys, fontsize=6.5, ncols=columns if short else 1)
+        ax.legend(
+            handles=keys, fontsize=6.5, ncols=columns if short else 1, frameon=True, fancybox=False, edgecolor="none"
+        )
         return
     share = 0.07 * -(-len(keys) // columns)  # of the height
     scale = ax.yaxis.get_transform()
@@ -226,8 +228,6 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) ->
             color=GREY,
             fontsize=6.5,
         )
-    if ax.get_yscale() == "linear" and np.abs(ax.get_ylim()).max() >= 1e5:
-        ax.yaxis.set_major_formatter(_write_tick)
     ax.set_ylabel(axes.y_title, labelpad=2)
     if axes.y_names:
         ax.set_yticks(range(len(axes.y_names)), axes.y_names)
@@ -243,6 +243,9 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) ->
         ax.set_ylim(*axes.y_range)
     if len(panel.x_range):
         ax.set_xlim(*panel.x_range)
+    for axis, ends in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        if axis.get_scale() == "linear" and not 1e-3 <= np.abs(ends).max() < 1e5:
+            axis.set_major_formatter(_write_tick)
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
     if panel.bare:
@@ -265,7 +268,7 @@ def _set_logarithmic(ax: Any, letter: str, values: Sequence[np.ndarray]) -> None
 
 
 def _write_tick(value: float, place: int | None) -> str:
-    """Powers of ten from 1e5 on: longer numbers would push the title off the picture."""
+    """Powers of ten from 1e5 on and below 1e-4: longer numbers, or a power beside the axis, reach into the words."""
     del place  # among the ticks, which matplotlib gives beside it
     mantissa, _, power = f"{value:.3e}".partition("e")
     return f"{float(mantissa):g}e{int(power)}" if abs(value) >= 1e5 else write_number(value)

@@ -13,6 +13,7 @@ from pipeline.coefficients import COEFFICIENTS, is_direct, unit
 from pipeline.config.machine import PredictionConfig
 from pipeline.config.schema import Config
 from pipeline.data.operating import find_nearest, split_states
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLUE,
@@ -199,18 +200,21 @@ def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
 
 
 def describe_stability(stability: Mapping[str, Any]) -> str:
-    """Say whether the identified machine is stable, and the smallest decrement."""
+    """Say whether the identified machine is stable, and the smallest decrement; as identified, where its band holds
+    zero."""
     growth, least = show(stability, "largest_growth"), stability["smallest_logarithmic_decrement"]
+    near = 0.0 < (least or 0.0) <= NOMINAL_95 * (stability.get("smallest_logarithmic_decrement_std") or 0.0)
     where = " of a mode that hardly oscillates, or lies above twice the top speed" if (least or 0.0) > 0 else ""
     verdict = {
-        Stability.STABLE: "stable at all speeds",
-        Stability.NOT_TOLD: f"at the edge of stability, growth {growth} 1/s{where}: not told from none",
+        Stability.STABLE: "stable at all speeds" + " as identified" * near,
+        Stability.NOT_TOLD: f"not told from unstable, growth {growth} 1/s{where}",
         Stability.UNSTABLE: f"UNSTABLE, growth {growth} 1/s{where}",
     }[Stability(stability["verdict"])]
     if least is None or stability["at_rpm"] is None:
         return f"{verdict}; no whirling mode below twice the top speed"
     decrement = show(stability, "smallest_logarithmic_decrement")
-    return f"{verdict}; smallest logarithmic decrement {decrement} at {stability['at_rpm']:g} rpm"
+    at = f"{stability['at_rpm']:g} rpm" + ", within its band of zero" * near
+    return f"{verdict}; smallest logarithmic decrement {decrement} at {at}"
 
 
 def _describe_prediction(asked: PredictionConfig, fit: FitContent, twin: Twin) -> str:
@@ -249,8 +253,11 @@ def draw_summary(path: Path, content: ReportContent, fit: FitContent) -> Path:
     data = content.dataset
     label, points = find_nearest(data.speeds, data.operating, fit.operating)
     beside = f", {label}" if data.operating else ""
-    panels = [draw_kind(fit.coefficients.at(points), letter, beside) for letter in "kc"]
-    panels += [_draw_run(content, fit, points, beside), *([_draw_response(fit.twin, fit.state)] if fit.twin else [])]
+    panels = [
+        *(draw_kind(fit.coefficients.at(points), letter, beside) for letter in "kc"),
+        _draw_run(content, fit, points, beside),
+        *([_draw_response(fit.twin, fit.state)] if fit.twin else []),
+    ]
     return write_figure(path, Figure("summary", content.config.name, panels))
 
 

@@ -264,8 +264,11 @@ def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state
             sizes.append(_draw(name, rpm, size, colour, deviation))
             if name == "modelled":
                 errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
-        axes = [Axes(sizes, "amplitude (µm)", scale="log"), Axes(phases, "phase (deg)")]
-        axes += [Axes(errors, "error (%)", scale="log")] * bool(errors)
+        axes = [
+            Axes(sizes, "amplitude (µm)", scale="log"),
+            Axes(phases, "phase (deg)"),
+            *[Axes(errors, "error (%)", scale="log")] * bool(errors),
+        ]
         panels.append(Panel(", ".join(filter(None, (f"{direction} of node {identified.node}", state))), RPM, axes))
     return write_figure(path, Figure("response", "", panels))
 
@@ -293,8 +296,8 @@ def draw_modes(behaviour: Mapping[str, Behaviour], state: str = "", highest: flo
     What is damped more, nobody asks for. Modes up to twice the top speed, a colour a mode; the modelled machine as
     lines, the identified one as markers. ``state`` names the operating conditions.
     """
-    speeds, beside = behaviour["identified"].modes.speeds, f", {state}" if state else ""
-    rpm, top = to_rpm(speeds), 2.0 * float(speeds.max()) / RAD_S_PER_RPM
+    speeds, margin = behaviour["identified"].modes.speeds, behaviour["identified"].margin
+    rpm, top, beside = to_rpm(speeds), 2.0 * float(speeds.max()) / RAD_S_PER_RPM, f", {state}" if state else ""
     frequencies = [Curve(rpm, rpm, "1X", BLACK, width=1.0)]
     decrements: list[Curve] = []
     for name, machine in behaviour.items():
@@ -307,20 +310,22 @@ def draw_modes(behaviour: Mapping[str, Behaviour], state: str = "", highest: flo
                 drawn = mark(rpm, values[:, k], f"mode {i + 1}", *look, deviation=deviation[:, k])
                 curves.append(known if name == "modelled" else drawn)
     critical = np.array([mode.speed for mode in behaviour["identified"].critical]) / RAD_S_PER_RPM
-    crossed = Curve(critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8)
-    frequencies += [crossed] * bool(len(critical))
+    frequencies += [Curve(critical, critical, "critical speed", BLACK, "none", "*", full=True, size=8)][: len(critical)]
     values = np.concatenate([NOTHING, *(curve.y for curve in decrements)])
     ends = np.concatenate([values, *(curve.edges(False)[2] for curve in decrements)])
     # What API RP 684 asks for stays in sight.
     limits = (min(-0.1, 1.1 * reach(values)[0]), min(highest, max(0.2, 1.1 * reach(ends)[1])))
     decrements.append(Curve(rpm[[0, -1]], np.zeros(2), "limit of stability", GREY, width=1.0))
+    at, least = np.array([[margin.at_speed], [margin.smallest_logarithmic_decrement]], dtype=float)  # NaN: not drawn
+    decrements.append(Curve(at / RAD_S_PER_RPM, least, "smallest decrement", BLACK, "none", "*", size=8))
     decrements += mark_beyond(decrements, limits[0], np.inf)
     return Figure(
         "campbell",
         "Damped natural frequencies of the modes up to twice the top speed, followed by their shapes (over-damped ones "
         f"have none), and their logarithmic decrements where these are below {highest:g}. Below zero the machine is "
-        "unstable; API RP 684 asks for 0.1 at least. Bands hold the nominal 95 %"
-        + ("; lines are modelled, markers predicted by the twin." if "modelled" in behaviour else "."),
+        "unstable; API RP 684 asks for 0.1 at least."
+        + " Bands hold the nominal 95 %." * any(curve.edges(False)[0].size for curve in decrements)
+        + " Lines are modelled, markers predicted by the twin." * ("modelled" in behaviour),
         [
             Panel(f"{title}{beside}", RPM, [axes], wide=True)
             for title, axes in (

@@ -103,7 +103,7 @@ def judge_answer(config: Config, answer: Answer, about: Mapping[str, Any]) -> di
     if answer.uncertainty is None:
         reason = Reason(
             Verdict.WITH_CARE,
-            "This loss weighs no noise, so nobody knows how far its answer may be off.",
+            "This fit weighs no noise, so nobody knows how far its answer may be off.",
             "Train with loss=response, which states deviations, and ask again.",
         )
         nodes = answer.table.nodes

@@ -105,35 +105,37 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
         wandering = 1.0 / (1.0 - min(max(whiteness["autocorrelation"], 0.0), 0.99))
         size = wandering if mismatch["chi_square"] is None else max(size, wandering)
     tests = (mismatch["chi_square"], mismatch["whiteness"], whiteness.get("probability"))
-    smallest = min((p for p in tests if p is not None), default=None)
-    probability = None if smallest is None else min(1.0, len(tests) * smallest)
+    made = [min(1.0, len(tests) * p) for p in tests if p is not None]
     factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
-    return Misfit(float(size), probability, estimated, factor, float(total * factor**2))
+    return Misfit(float(size), min(made, default=None), estimated, factor, float(total * factor**2))
 
 
 def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
     """How the fit of ``training.json`` or ``metrics.json`` follows its readings, for every line and page that says so.
 
     The ``distance`` at which they lie, whether ``neighbours`` correlate, whether model and noise ``explain`` them, and
-    how many lie ``far_off``. A loss that weighs no noise has the distance alone, the residual.
+    how many, or which runs, lie ``far_off``. A loss that weighs no noise has the distance alone, the residual.
     """
     if "fit" not in training:
         if training.get("loss", 0.0) is None:
             return {"distance": "the loss overflowed"}
         share = write_number(training["residual"]["mean_over_bearing_force"], digits=3)
-        losses = {"loss": "loss", "held_out_loss": "at held-out speeds"}
-        told = [f"{text} {write_number(training[key], digits=3)}" for key, text in losses.items() if key in training]
+        losses = (("loss", "loss"), ("held_out_loss", "at held-out speeds"))
+        told = [f"{text} {write_number(training[key], digits=3)}" for key, text in losses if key in training]
         return {"distance": ", ".join([f"residual {share} of the bearing force (mean)", *told])}
     fit = training["fit"]
     square, white = fit["chi_square"], fit["whiteness"]
-    levels = "noise and what the model may be off by" if "inconsistent_runs" in fit else "noise"
+    drift, runs = "inconsistent_runs" in fit, ", ".join(fit.get("inconsistent_runs", ()))
+    levels = "noise and what the model may be off by" if drift else "noise"
     return {
         "distance": f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",
         "neighbours": f"neighbouring speeds correlate by {write_number(white['autocorrelation'], digits=2)} "
         f"({write_number(white['over_its_deviation'], digits=2)} deviations from none)",
         "explain": measure_misfit(fit).sentence,
-        "far_off": f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
+        "far_off": f"runs that do not agree with the others, and weigh less: {runs or 'none'}"
+        if drift
+        else f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
     }
 
 

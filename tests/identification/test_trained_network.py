@@ -152,9 +152,9 @@ def test_a_network_starts_where_the_nodes_are(family: str) -> None:
     speeds, over = np.geomspace(100, 700, config.count), torch.linspace(-1, 1, 112, dtype=torch.float64)[:, None]
     (prior,) = make_priors([family], speeds, 1e3, 0.06)
     drawn = prior.mean + prior.root @ np.random.default_rng(0).standard_normal(len(prior.mean))
-    between = CubicSpline(np.linspace(-1, 1, config.count), drawn.reshape(8, -1).T)(over[:, 0])
+    wanted = torch.as_tensor(CubicSpline(np.linspace(-1, 1, config.count), drawn.reshape(8, -1).T)(over[:, 0]))
     spline = coefficient_model(config, tuple(PLACES), {"speed": speeds}, np.ones((1, 8)))
-    model, wanted = replace(spline, functions=None, n_functions=0, **config.network), torch.as_tensor(between)
-    generator, rest = torch.Generator().manual_seed(0), torch.zeros(1, 1, 0, dtype=torch.float64)
-    start = start_networks(model, np.zeros((1, 8)), generator, over, wanted[None, None], rest, steep=3.0)
+    model = replace(spline, functions=None, n_functions=0, **config.network)
+    drawn_units, nothing = torch.Generator().manual_seed(0), over.new_zeros(1, 1, 0)
+    start = start_networks(model, np.zeros((1, 8)), drawn_units, over, wanted[None, None], nothing, steep=3.0)
     assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 2e-3

@@ -1,11 +1,13 @@
-"""Progress of long steps, as a bar and as lines of a file."""
+"""Tables, and progress of long steps, as a bar and as lines of a file."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-from pipeline.reporting.console import count_progress, log_steps, training_progress
+import pytest
+
+from pipeline.reporting.console import count_progress, log_steps, table, training_progress
 
 
 def test_the_steps_of_a_bar_are_lines_of_a_log(tmp_path: Path) -> None:
@@ -24,3 +26,9 @@ def test_the_steps_of_a_bar_are_lines_of_a_log(tmp_path: Path) -> None:
     assert lines[2].endswith("rig adam: step 400 of 400, loss 0.00125")
     assert len(lines) == 6
     assert all(re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", line) for line in lines)
+
+
+def test_a_long_reason_takes_no_room_from_the_other_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    table("can it be trusted?", ["coefficient", "verdict", "why"], [["node 1 kxx", "with care", 60 * "reason "]])
+    shown = capsys.readouterr().out
+    assert (len(re.findall("node 1 kxx +with care +reason", shown)), shown.count("reason")) == (1, 60)

@@ -271,3 +271,10 @@ def test_a_growth_is_judged_with_its_deviation(growth: float, deviation: float, 
     assert ("UNSTABLE" in describe_stability(summarize_modes(behaviour, 1000.0)["stability"])) is (
         verdict == "unstable"
     )
+
+
+@pytest.mark.parametrize(("deviation", "near"), [(0.0024, True), (0.0002, False)])
+def test_a_stable_machine_whose_margin_may_be_zero_is_stable_as_identified(deviation: float, near: bool) -> None:
+    least = {"smallest_logarithmic_decrement": 0.0006, "smallest_logarithmic_decrement_std": deviation}
+    said = describe_stability({"verdict": "stable", "largest_growth": -1.0, "at_rpm": 2800.0} | least)
+    assert [text in said for text in (" speeds as identified;", "rpm, within its band of zero")] == [near, near]

@@ -20,6 +20,7 @@ from pipeline.reporting.blocks import (
     MICROMETRES,
     MICROMETRES_PEAK_TO_PEAK,
     Axes,
+    Block,
     Curve,
     Figure,
     HeatMap,
@@ -110,7 +111,12 @@ def _describe_panel(panel: Panel) -> dict[str, Any]:
 def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     traces: list[dict[str, Any]] = [] if panel.heat is None else [_describe_heat(panel.heat)]
     layout: dict[str, Any] = {"shapes": []}
-    layout["xaxis"] = _describe_axis(panel.x_title, panel.x_names, panel.log_x, panel.x_range)
+    shown = [curve for axes in panel.axes for curve in axes.curves if curve.shown and len(curve.x)]
+    bare = all(curve.dash == "none" and not curve.marker for curve in shown)  # plotly looks for no ends of bands alone
+    ends = [f(np.concatenate([curve.x for curve in shown])) for f in (np.min, np.max)] if shown and bare else ()
+    layout["xaxis"] = _describe_axis(
+        panel.x_title, panel.x_names, panel.log_x, panel.x_range if len(panel.x_range) else ends
+    )
     for i, (axes, domain) in enumerate(zip(panel.axes, _share(len(panel.axes)), strict=True)):
         suffix = "" if i == 0 else str(i + 1)
         y = _describe_axis(axes.y_title, axes.y_names, axes.scale == "log", axes.y_range) | {"domain": domain}
@@ -248,28 +254,33 @@ def write_pdf(path: Path, title: str, head: Mapping[str, str], sections: Sequenc
             _write_text(pdf, f"{name.capitalize()}: {text}", 9, 5)
     for number, (_, name, blocks) in enumerate(sections, start=1):
         pdf.ln(3)
-        if pdf.will_page_break(30):
+        if pdf.will_page_break(30 + next((height for block in blocks if (height := _ask_height(block))), 0.0)):
             pdf.add_page()
         pdf.set_font("DejaVu", "B", 12)
         pdf.start_section(f"{number}. {name}")
         _write_text(pdf, f"{number}. {name}", 12, 7, bold=True)
         for block in blocks:
             if isinstance(block, str | Mark):
-                _write_text(pdf, typeset(block), 9, 4.6, bold=isinstance(block, Mark) and block.kind != "", align="L")
+                _write_text(pdf, typeset(block), 9, 4.6, bold=isinstance(block, Mark) and block.kind != "")
                 pdf.ln(1)
             elif isinstance(block, Table):
                 _write_table(pdf, block)
             else:
                 _place_figure(pdf, block)
-                _write_text(pdf, block.caption, 8, 4.2, align="L")
+                _write_text(pdf, block.caption, 8, 4.2)
                 pdf.ln(1)
     return write_beside(path, lambda beside: pdf.output(str(beside)))
 
 
-def _write_text(pdf: Any, text: str, size: float, height: float, bold: bool = False, align: str = "J") -> None:
+def _ask_height(block: Block) -> float:
+    """mm that stay on one page: a short table, the first rows of a long one or of a figure; zero of text."""
+    return 12 + 4.4 * min(len(block.rows), 12) if isinstance(block, Table) else 80.0 * isinstance(block, Figure)
+
+
+def _write_text(pdf: Any, text: str, size: float, height: float, bold: bool = False) -> None:
     """Lines of letters of a ``size`` (points), each of a ``height`` (mm)."""
     pdf.set_font("DejaVu", "B" if bold else "", size)
-    pdf.multi_cell(0, height, text, align=align, new_x="LMARGIN", new_y="NEXT")
+    pdf.multi_cell(0, height, text, align="L", new_x="LMARGIN", new_y="NEXT")
 
 
 def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
@@ -279,9 +290,10 @@ def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
     if not table.rows:
         return
     pdf.ln(1)
-    if pdf.will_page_break(12 + 4.4 * min(len(table.rows), 12)):  # a short one stays together
+    if pdf.will_page_break(_ask_height(table)):
         pdf.add_page()
-    _write_text(pdf, typeset(table.caption), 9, 4.6, bold=True, align="L")
+    if table.caption:
+        _write_text(pdf, typeset(table.caption), 9, 4.6, bold=True)
     pdf.set_font("DejaVu", "B", 6.5 if len(table.header) >= when_wide else 8)
     texts = [[typeset(cell) for cell in row] for row in (table.header, *table.rows)]
     columns = list(zip(*texts, strict=True))
@@ -305,13 +317,13 @@ def _write_table(pdf: Any, table: Table, when_wide: int = 5) -> None:
 
 
 def _place_figure(pdf: Any, figure: Figure, dots_an_inch: int = 110) -> None:
-    """Rows of panels one after the other, so that a page may end between them; the legend above the first."""
-    columns = 1 if any(panel.wide for panel in figure.panels) else 2
+    """Rows of panels one after the other, so that a page may end between them; the legend above the first of a page."""
+    columns, scale = 1 if any(panel.wide for panel in figure.panels) else 2, _WIDTH / (2 * PANEL_WIDTH)
     for first in range(0, len(figure.panels), columns):
-        legend = figure.legend() if first == 0 else []
-        image, height = draw_image(figure.panels[first : first + columns], legend, columns, dots_an_inch)
-        shown = _WIDTH * height / (2 * PANEL_WIDTH)
+        row, legend = figure.panels[first : first + columns], figure.legend()
+        image, height = draw_image(row, [] if first else legend, columns, dots_an_inch)
         caption = 10.0 if first + columns >= len(figure.panels) else 0.0  # mm: it stays below its last row
-        if pdf.will_page_break(shown + caption):
+        if pdf.will_page_break(scale * height + caption):
             pdf.add_page()
-        pdf.image(image, w=_WIDTH, h=shown)
+            image, height = draw_image(row, legend, columns, dots_an_inch)
+        pdf.image(image, w=_WIDTH, h=scale * height)

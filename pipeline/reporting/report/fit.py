@@ -55,10 +55,13 @@ def describe_coefficients(content: ReportContent, fit: FitContent) -> list[Block
         "Numbers are given with one standard deviation, bands are nominal 95 % intervals. They count the noise, the "
         f"misfit, and what is fitted of the model{tolerances}, as the verdicts do."
     )
-    bare = "This fit weighs no noise and states no deviations, so there are no bands."
     text = (
         "Forces on the shaft are -(K q + C q'); kxy is the force in x for a displacement in y. "
-        + (stated if fit.coefficients.stated else bare)
+        + (
+            stated
+            if fit.coefficients.stated
+            else "This fit weighs no noise and states no deviations, so there are no bands."
+        )
         + " The data were modelled, so that the true coefficients are known; the fit did not read them."
         * fit.coefficients.compared
     )
@@ -95,8 +98,8 @@ def _draw_values(
             _add_reference(draw_bearing(shown, b, letter), content.reference, node, letter)
             for b, node in enumerate(shown.identified.nodes)
         ]
-        said = "markers are identified (dashed where known)"
-        said += ", filled markers the reference" if content.reference else ""
+        filled = ", filled markers the reference" if content.reference else ""
+        said = f"markers are identified (dashed where known){filled}"
     stated = ", bands hold the nominal 95 %" if shown.stated else ""
     true = ", black lines are the modelled truth" if shown.compared else ""
     return Figure(KINDS[letter], f"{KINDS[letter].capitalize()} over the speed: {said}{stated}{true}.", panels)
@@ -137,8 +140,8 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
         ]
         rows.append([f"node {shown.identified.nodes[b]} {name}, {unit}", *cells])
     heads = ["at every speed"] if constant else [f"{write_number(rpm, digits=6)} rpm" for rpm in shown.rpm[at]]
-    stated = " +- one standard deviation" if shown.stated else ""
-    stated += "; * not determined by these data" if any(shown.lost[b, at, c].any() for b, _, c in places) else ""
+    some = any(shown.lost[b, at, c].any() for b, _, c in places)
+    stated = " +- one standard deviation" * shown.stated + "; * not determined by these data" * some
     return Table(f"Identified coefficients{f' at {label}' if label else ''}{stated}", ["coefficient", *heads], rows)
 
 
@@ -159,9 +162,8 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             deviation = np.interp(speeds, rpm, shown.deviation[b, :, c])
             with np.errstate(divide="ignore", invalid="ignore"):
                 medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
-            cells = [write_number(median, digits=3) for median in medians]
-            cells[1] = cells[1] if shown.stated else ""
-            rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", *cells])
+            off_by, over = (write_number(median, digits=3) for median in medians)
+            rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", off_by, over * shown.stated])
     name = content.origin.get("reference", "the reference")
     return [
         Table(
@@ -198,7 +200,11 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     ]
     held = [r for r in content.shown_runs if content.held_out(r)]
     if not rows and not held:
-        return ["No run and no speed was held out of the fit."]
+        return [
+            "No run was held out of the fit; speeds were, and their loss stands above."
+            if "held_out_loss" in fit.training
+            else "No run and no speed was held out of the fit."
+        ]
     return [
         "The fit did not see these readings. Beside the model stands what needs no bearing model at all.",
         Table(

@@ -84,11 +84,10 @@ def _draw_sketch(content: ReportContent) -> Figure:
         for nodes, height, label, colour, marker, look in marks
         if nodes
     ]
-    caption = "The machine as it is modelled; radii are drawn larger than lengths. Dots are nodes."
-    caption += "" if probes else " Probes see x and y at every node."
     return Figure(
         "sketch",
-        caption,
+        "The machine as it is modelled; radii are drawn larger than lengths. Dots are nodes."
+        + ("" if probes else " Probes see x and y at every node."),
         [Panel("", "position along the shaft (m)", [Axes(curves, "", y_range=(-1.5, 1.65))], wide=True, bare=True)],
     )
 
@@ -122,15 +121,18 @@ def _list_probes(content: ReportContent) -> Table:
         [p.name, f"{p.node}", write_number(1e3 * float(positions[p.node])), f"{p.angle:g}"]
         for p in content.shown_probes
     ]
-    caption = "Probes" + (" (those that are drawn)" if len(rows) < len(content.probes) else "")
-    return Table(caption, ["probe", "node", "position, mm", "angle from x towards y, deg"], rows)
+    return Table(
+        "Probes" + " (those that are drawn)" * (len(rows) < len(content.probes)),
+        ["probe", "node", "position, mm", "angle from x towards y, deg"],
+        rows,
+    )
 
 
 def _list_runs(content: ReportContent, most: int = 30) -> Table:
     data, rows = content.dataset, []
     for r, run in enumerate(data.runs):
         acting = [excitation for excitation in data.excitations if excitation.run == run and excitation.magnitude]
-        use = "predicted, not fitted" if content.held_out(r) else "fitted"
+        use = "predicted, not fitted" if content.held_out(r) else "fitted" if content.fit else ""
         turning, hertz = synchronous(data.frequencies[:, r], data.speeds).all(), data.frequencies[:, r] / (2 * np.pi)
         constant = np.ptp(hertz) < 1e-9 * hertz[0]
         at = "rotor speed" if turning else f"{write_number(float(hertz[0]))} Hz" if constant else "own ratio"
@@ -139,7 +141,9 @@ def _list_runs(content: ReportContent, most: int = 30) -> Table:
         )
     if len(rows) > most:
         rows = [*rows[: most - 1], [f"and {len(rows) - most + 1} more", "", "", ""]]
-    return Table(f"Runs; angles of weights are {content.counted}", ["run", "excited by", "frequency", "use"], rows)
+    return Table(
+        f"Runs; angles of weights are {content.counted}", ["run", "excited by", "frequency", "use"], rows
+    ).without_blank()
 
 
 def describe_excitation(source: SourceUnits, excitation: Excitation) -> str:

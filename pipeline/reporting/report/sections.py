@@ -65,14 +65,15 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
             said = " (not determined)" if shown.lost[place] else f" {number} {unit}"
             values.append(f"{f'at node {node} ' * (name == told[0])}{name}{said}")
     known = ", with one standard deviation" if shown.stated else ""
-    answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}."
-    answer += " Cross-coupling, and other speeds, stand in the section Stiffness and damping." * several
+    elsewhere = " Cross-coupling, and other speeds, stand in the section Stiffness and damping." * several
+    answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}.{elsewhere}"
     if fit.twin:
         modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], shown.rpm[at])
         critical, stable = list_critical_speeds(fit, modes["critical_speeds"]), describe_stability(modes["stability"])
         answer += f" Critical speeds: {critical}. Stability: {stable}."
     felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
-    said = f"The machine as a whole: {machine['verdict']}. {machine['reason']}{felt}"
+    beyond = "".join(f" {text[0].upper()}{text[1:]}." for text in fit.beyond)
+    said = f"The machine as a whole: {machine['verdict']}. {machine['reason']}{felt}{beyond}"
     steps = dict.fromkeys(
         entry["next"] for entry in (machine, *content.files.get("verdicts", {}).get("bearings", ())) if entry["next"]
     )
@@ -96,13 +97,15 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_verdicts(content: ReportContent) -> list[Block]:
     """The verdicts on every bearing and coefficient, as stage=verdict wrote them: why, and what to do next."""
     judged = content.files.get("verdicts")
-    spelt = {"twin": "critical speeds, stability and prediction"}
     gaps = [
-        Mark("warning", f"This report has no {spelt.get(name, name)}: {reason}")
+        Mark(
+            "warning",
+            f"This report has no {'critical speeds, stability and prediction' if name == 'twin' else name}: {reason}",
+        )
         for name, reason in content.missing.items()
     ]
     if not judged:
-        return [*gaps, "No verdicts were written: stage=verdict makes them."]
+        return [*gaps, *["No verdicts were written: stage=verdict makes them."] * ("fit" not in content.missing)]
     every = judged["verdicts"]
     common = [reason for reason in every[0]["reasons"] if all(reason in entry["reasons"] for entry in every)]
     rest = [
@@ -161,8 +164,8 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
     noise, expected = diagnosis["stated_noise"], diagnosis["determined"]
     return [
         (
-            f"Before the fit, at each speed by itself, at {100 * noise['multiplicative']:g} % and "
-            f"{1e6 * noise['additive']:g} µm noise (root mean square, zero-to-peak). A fit over all speeds does "
+            f"Before the fit, at each speed by itself, at a stated noise of {100 * noise['multiplicative']:g} % and "
+            f"{1e6 * noise['additive']:g} µm (root mean square, zero-to-peak). A fit over all speeds does "
             "better: what it was expected to reach follows below."
         ),
         *(
@@ -187,11 +190,10 @@ def _compare_determined(content: ReportContent, expected: Mapping[str, Mapping[s
         for entry in read_determined(after)
         if (before := expected.get(str(entry.node), {}).get(entry.name, {}).get("verdict", "")) != entry.verdict.value
     ]
-    said = (
+    return [
         "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
         f"{'; '.join(other)}. What was found counts."
-    )
-    return [said] if other else []
+    ] * bool(other)
 
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:

@@ -40,23 +40,28 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
     rpm, identified = to_rpm(behaviour.modes.speeds), cast("Mapping[str, Any]", summarize_modes(behaviour, running))
     stability = identified["stability"]
-    known = stability.get("largest_growth_std") or 0.0
-    growth = write_number(stability["largest_growth"], known if known > rounding else None, 3)
+    largest, known = stability["largest_growth"], stability.get("largest_growth_std") or 0.0
+    growth = write_number(largest, known if known > rounding else None, 3)
     text = (
         f"The identified machine is {describe_stability(stability)} ({_name_range(rpm)}{fit.state}, modes up to twice "
         f"the top speed)"
-        + f"; the largest growth rate is {growth} 1/s"
-        * (stability["verdict"] == Stability.STABLE)
+        + f"; the largest growth rate of all modes is {growth} 1/s"
+        * (stability["verdict"] == Stability.STABLE and largest < -2.0 * known)
         + ". A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 "
         "one with an amplification factor below 2.5 is critically damped. "
         f"Separation margins are from {write_number(running, digits=6)} rpm, the speed of the prediction, in percent "
         "of it."
     )
-    beyond = "the bands grow there, and rest on the model of the coefficients alone."
     return [
         *list_reservations(content),
         Mark("warning" if stability["verdict"] == "unstable" else "", text),
-        *(Mark("warning", f"{text[0].upper()}{text[1:]}: {beyond}") for text in fit.beyond),
+        *(
+            Mark(
+                "warning",
+                f"{text[0].upper()}{text[1:]}: the bands grow there, and rest on the model of the coefficients alone.",
+            )
+            for text in fit.beyond
+        ),
         _list_critical_speeds(rpm, identified["critical_speeds"]),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(rpm) > 1 else ()),
     ]
@@ -78,8 +83,11 @@ def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table
 
 def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
     """Verification as in API 617, and the prediction of an unbalance that no run has."""
-    predicted = [_predict(content, fit, fit.twin)] if fit.twin else []
-    return [*list_reservations(content), *_verify(content, fit), *predicted]
+    return [
+        *list_reservations(content),
+        *_verify(content, fit),
+        *([_predict(content, fit, fit.twin)] if fit.twin else ()),
+    ]
 
 
 def find_peak(
@@ -159,8 +167,8 @@ def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
         + describe_weight(unbalance.magnitude / GRAM_MILLIMETRE, float(np.degrees(unbalance.phase)))
         for unbalance in asked.unbalances
     )
-    at = f",{fit.state}" if fit.state else ""
     stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
-    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has ({acting}){at}{stated}."
+    told = f"({acting}){',' * bool(fit.state)}{fit.state}{stated}"
+    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has {told}."
     axes = Axes(draw_sizes(twin.vibration, 1.0), AMPLITUDE, quantity="amplitude")
     return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])
