@@ -4,9 +4,9 @@
 
 What is real is drawn from the very prior of the fit: the kind of each bearing, its coefficients at the fit's nodes with
 its spline between, E, the discs' mass, each weight, each probe's gain and angle, each bearing in each run and in the
-baseline. Rotors, probes,
-weights and noise are those of draw.py, with 1 % + 0.05 um. A machine that would be unstable is drawn again, which the
-prior does not know. Each is identified by the command, with nothing stated, as in ordinary.py.
+baseline. Rotors, probes, weights and noise are those of draw.py, with 1 % + 0.05 um. A machine that would be unstable
+is drawn again, which the prior does not know. Each is identified by the command, with nothing stated, as in
+ordinary.py.
 
 The rank of a real coefficient is the probability that its band, taken as normal, gives to a smaller one. Over all
 machines, coefficients and speeds ranks are to be uniform: `ranks.json` has the share of each tenth, and the shares

@@ -145,7 +145,7 @@ def test_halves_need_four_speeds() -> None:
 
 @pytest.mark.parametrize("family", ["plain", "tilting_pad", "rolling", "unknown"])
 def test_a_network_starts_where_the_nodes_are(family: str) -> None:
-    """A bearing drawn from the prior wanders from node to node: the start follows it to a tenth of 1 % noise."""
+    """A bearing drawn from the prior wanders from node to node: the start follows it to half a percent, as a third as steep a one does not."""
     import torch
 
     config = compose_config(["model=bearings_network", "loss=response"]).model
@@ -155,6 +155,7 @@ def test_a_network_starts_where_the_nodes_are(family: str) -> None:
     wanted = torch.as_tensor(CubicSpline(np.linspace(-1, 1, config.count), drawn.reshape(8, -1).T)(over[:, 0]))
     spline = coefficient_model(config, tuple(PLACES), {"speed": speeds}, np.ones((1, 8)))
     model = replace(spline, functions=None, n_functions=0, **config.network)
-    drawn_units, nothing = torch.Generator().manual_seed(0), over.new_zeros(1, 1, 0)
-    start = start_networks(model, np.zeros((1, 8)), drawn_units, over, wanted[None, None], nothing, steep=3.0)
-    assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 2e-3
+    start = start_networks(
+        model, np.zeros((1, 8)), torch.Generator(), over, wanted[None, None], over.new_zeros(1, 1, 0), steep=3.0
+    )
+    assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 5e-3
