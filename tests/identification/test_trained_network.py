@@ -145,7 +145,7 @@ def test_halves_need_four_speeds() -> None:
 
 @pytest.mark.parametrize("family", ["plain", "tilting_pad", "rolling", "unknown"])
 def test_a_network_starts_where_the_nodes_are(family: str) -> None:
-    """A bearing drawn from the prior wanders from node to node: the start follows it to half a percent, as a third as steep a one does not."""
+    """A bearing drawn from the prior wanders from node to node; the start follows it to half a percent."""
     import torch
 
     config = compose_config(["model=bearings_network", "loss=response"]).model
