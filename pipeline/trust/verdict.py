@@ -22,7 +22,7 @@ from pipeline.problem.determination import Determination, Determined, measure_si
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence
 from pipeline.trust.mistake import Mistake
-from pipeline.write_numbers import write_percent
+from pipeline.write_numbers import write_number, write_percent
 
 
 class Verdict(StrEnum):
@@ -150,8 +150,8 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
         reasons.append(
             Reason(
                 Verdict.WITH_CARE,
-                f"The identified machine is unstable from {unstable_rpm:.0f} rpm (growth {largest:.2g} +- "
-                f"{deviation:.2g} 1/s), where a steady vibration cannot be measured.",
+                f"The identified machine is unstable from {unstable_rpm:.0f} rpm (growth "
+                f"{write_number(largest, deviation)} 1/s), where a steady vibration cannot be measured.",
                 "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
             )
         )
