@@ -104,7 +104,7 @@ def test_a_growth_within_its_deviation_turns_nothing() -> None:
     )
     judged = record(gathered(growth={"largest_growth": 9.0, "largest_growth_std": 1.0, "unstable_from_rpm": 2100.0}))
     assert judged["machine"]["verdict"] == "with care"
-    assert "9 +- 1 1/s" in judged["machine"]["reason"]
+    assert "9.0 +- 1.0 1/s" in judged["machine"]["reason"]
 
 
 @pytest.mark.parametrize(
