@@ -66,15 +66,12 @@ class Conditions:
         )
 
 
-def gather_conditions(
-    dataset: VibrationDataset, planes: tuple[int, ...] | None = None, turning: float = 0.05
-) -> Conditions:
+def gather_conditions(dataset: VibrationDataset, planes: tuple[int, ...] | None = None) -> Conditions:
     """The means of the runs that repeat a condition, and their pooled scatter.
 
     A data set that names no conditions has one a run. ``planes`` are the nodes that carry weights, by default all that
     an unbalance of the data names. Raises DataError for a run that does not turn with the rotor or has a force, for a
-    weight outside the planes, and for runs of one condition whose weights differ. A record's own speed may differ by
-    the share ``turning`` of the nominal one and still be a record at that speed.
+    weight outside the planes, and for runs of one condition whose weights differ.
     """
     if dataset.operating:
         raise DataError(
@@ -84,27 +81,7 @@ def gather_conditions(
     labels = dataset.conditions or dataset.runs
     names = tuple(dict.fromkeys(labels))
     planes = tuple(sorted({e.node for e in dataset.excitations})) if planes is None else planes
-    apart = np.argwhere(abs(dataset.frequencies / dataset.speeds[:, None] - 1) > turning)
-    if len(apart):
-        raise DataError(
-            f"influence of weights must come from runs that turn with the rotor, but run '{dataset.runs[apart[0][1]]}' "
-            "has a frequency of its own: leave it out"
-        )
-    loads = np.zeros((len(dataset.runs), len(planes)), dtype=complex)  # kg m
-    for excitation in dataset.excitations:
-        if excitation.kind != "unbalance" or excitation.whirl != "forward":
-            raise DataError(
-                f"influence of weights must come from unbalances that turn forward, but run '{excitation.run}' has a "
-                f"{excitation.kind} ({excitation.whirl}): leave it out"
-            )
-        if excitation.node not in planes:
-            raise DataError(
-                f"weights must lie in the balancing planes (nodes {', '.join(map(str, planes))}), "
-                f"but run '{excitation.run}' has one at node {excitation.node}: name that plane too"
-            )
-        loads[dataset.runs.index(excitation.run), planes.index(excitation.node)] += excitation.magnitude * np.exp(
-            1j * excitation.phase
-        )
+    loads = _read_unbalance(dataset, planes)
     rows = [np.array([r for r, name in enumerate(labels) if name == condition]) for condition in names]
     for condition, runs in zip(names, rows, strict=True):
         differing = [r for r in runs if not np.array_equal(loads[r], loads[runs[0]])]
@@ -141,3 +118,32 @@ def _average(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     """The mean over the last axis of what is ``present``; NaN where nothing is."""
     count = present.sum(axis=-1)
     return np.where(count > 0, (values * present).sum(axis=-1) / np.maximum(count, 1), np.nan)
+
+
+def _read_unbalance(dataset: VibrationDataset, planes: tuple[int, ...], turning: float = 0.05) -> np.ndarray:
+    """(R, N) complex, kg m.
+
+    A record's own speed may differ by the share ``turning`` of the nominal one and still be a record at that speed.
+    """
+    apart = np.argwhere(abs(dataset.frequencies / dataset.speeds[:, None] - 1) > turning)
+    if len(apart):
+        raise DataError(
+            f"influence of weights must come from runs that turn with the rotor, but run '{dataset.runs[apart[0][1]]}' "
+            "has a frequency of its own: leave it out"
+        )
+    loads = np.zeros((len(dataset.runs), len(planes)), dtype=complex)
+    for excitation in dataset.excitations:
+        if excitation.kind != "unbalance" or excitation.whirl != "forward":
+            raise DataError(
+                f"influence of weights must come from unbalances that turn forward, but run '{excitation.run}' has a "
+                f"{excitation.kind} ({excitation.whirl}): leave it out"
+            )
+        if excitation.node not in planes:
+            raise DataError(
+                f"weights must lie in the balancing planes (nodes {', '.join(map(str, planes))}), "
+                f"but run '{excitation.run}' has one at node {excitation.node}: name that plane too"
+            )
+        loads[dataset.runs.index(excitation.run), planes.index(excitation.node)] += excitation.magnitude * np.exp(
+            1j * excitation.phase
+        )
+    return loads

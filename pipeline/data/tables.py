@@ -362,6 +362,7 @@ def write_table(
     columns = {str(name): np.asarray(table[name]) for name in table}
 
     def write(beside: Path) -> None:
+        """Parquet, or else CSV."""
         if path.suffix == ".parquet":  # the temporary file beside it has another ending
             import pyarrow as pa
             import pyarrow.parquet as parquet

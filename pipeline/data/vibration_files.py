@@ -15,7 +15,7 @@ Excitation: see :mod:`pipeline.data.excitation_files`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -185,14 +185,7 @@ def read_measured(
     # The order of the rows means nothing: that of the runs is the excitations', then the alphabet's.
     runs = (*(run for run in acting if run in measured), *sorted(measured.keys() - acting.keys()))
     if baseline:
-        if baseline not in runs:
-            raise DataError(f"data.baseline must be a run of '{vibration}', but it is not: {nearest(baseline, runs)}")
-        if baseline in acting:
-            raise DataError(
-                f"data.baseline must be the machine as it was found, but '{excitation}' has a row for run '{baseline}'"
-            )
-        if len(runs) == 1:
-            raise DataError(f"'{vibration}' must have a run beside the baseline, but it has '{baseline}' alone")
+        _check_baseline(baseline, runs, acting, vibration, excitation)
     for run in runs:
         if run not in acting and run != baseline:
             raise DataError(
@@ -211,6 +204,19 @@ def read_measured(
                 "another: give its force as kind 'force', or leave the frequency out"
             )
     return subtract_baseline(dataset, baseline) if baseline else dataset
+
+
+def _check_baseline(
+    baseline: str, runs: tuple[str, ...], acting: Collection[str], vibration: Path, excitation: Path
+) -> None:
+    if baseline not in runs:
+        raise DataError(f"data.baseline must be a run of '{vibration}', but it is not: {nearest(baseline, runs)}")
+    if baseline in acting:
+        raise DataError(
+            f"data.baseline must be the machine as it was found, but '{excitation}' has a row for run '{baseline}'"
+        )
+    if len(runs) == 1:
+        raise DataError(f"'{vibration}' must have a run beside the baseline, but it has '{baseline}' alone")
 
 
 def _assemble(

@@ -10,7 +10,7 @@ Legend: S speeds, P probes, R runs, N nodes.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -20,11 +20,11 @@ from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
-from pipeline.data.operating import name_state
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
-from pipeline.ingest.operating import find_conditions, to_points
+from pipeline.ingest.operating import find_conditions, name_recordings, to_points
+from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
 from pipeline.ingest.ross_results import RossRecordingsConfig
 from pipeline.ingest.table import TableRecordingsConfig
@@ -58,30 +58,16 @@ class MeasuredRuns:
     """By run: of the run-ups that show a peak."""
 
 
-def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead: float = 0.01) -> MeasuredRuns:
+def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> MeasuredRuns:
     """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError.
 
-    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named, and
-    those that are not connected: they read less than the share ``dead`` of what the probes read (median).
+    Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
     """
     runs = config.read()
-    notes = [note for run in runs for note in run.notes]
-    notes += [
-        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
-        "missing?"
-        for run in runs
-        for probe, track in run.tracks.items()
-        if (count := int((track.vectors == 0).sum()))
-    ]
+    notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
-        usual = float(np.median(list(sizes.values())))
-        notes += [
-            f"probe '{probe}' of run '{run.name}' reads {100 * size / usual:.2g} % of what the probes read (median): "
-            "is it dead, or is its scale that of another unit?"
-            for probe, size in sizes.items()
-            if 0 < size < dead * usual
-        ]
+        notes += note_dead(run.name, sizes)
     asynchronous = {run.name for run in config.runs if run.asynchronous}
     if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
@@ -96,18 +82,9 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead
     wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve(config.probes, vectors)
-    largest = np.abs(displacement).max(axis=(0, 1))
-    if largest.max() > LARGEST:
-        raise DataError(
-            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
-        )
+    _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
-    names = [run.name for run in config.runs]
-    labels = tuple(  # with the conditions where several recordings are of one run
-        name if names.count(name) == 1 else f"{name}, {name_state({key: c[:, r] for key, c in conditions.items()})}"
-        for r, name in enumerate(names)
-    )
+    labels = name_recordings(config, conditions)
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
@@ -123,6 +100,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead
     )
     dataset = recorded
     if conditions:
+        names = [run.name for run in config.runs]
         dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
         notes += merged
     notes += [
@@ -137,17 +115,20 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05, dead
         for node in dict.fromkeys(node for node, _ in channels)
         if not set(list_directions((node,))) <= set(channels)
     ]
-    # What is said of several files in the same words is said of the first, with the names of the others.
+    return MeasuredRuns(dataset, recorded, runs, _join_alike(notes), sweeps)
+
+
+def _join_alike(notes: Sequence[str]) -> tuple[str, ...]:
+    """Each once: what is said of several files in the same words is said of the first, with the names of the others."""
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
         file = re.match(r"'[^']+' ", note)
         alike.setdefault(note[file.end() :] if file else note, []).append(file[0].strip(" '") if file else "")
-    told = tuple(
+    return tuple(
         (f"'{files[0]}' {said}" if files[0] else said)
         + "".join(f"; so for '{Path(other).name}'" for other in files[1:])
         for said, files in alike.items()
     )
-    return MeasuredRuns(dataset, recorded, runs, told, sweeps)
 
 
 def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
@@ -172,6 +153,26 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             runout = complex(vectors.mean())
         tracks[probe] = Track(track.speeds, track.vectors - runout)
     return replace(run, tracks=tracks)
+
+
+def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
+    """A sentence for every probe whose missing values may have been written as zeros."""
+    return [
+        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
+        "missing?"
+        for run in runs
+        for probe, track in run.tracks.items()
+        if (count := int((track.vectors == 0).sum()))
+    ]
+
+
+def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
+    largest = np.abs(displacement).max(axis=(0, 1))
+    if largest.max() > LARGEST:
+        raise DataError(
+            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
+            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
+        )
 
 
 def resolve(

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import find_points, read_with_conditions, require_complete
+from pipeline.data.operating import find_points, name_state, read_with_conditions, require_complete
 from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.tracks import ROUNDING, RunTracks
@@ -27,18 +27,8 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
 
     Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
     """
-    logged, conditions = None, []
-    if config.conditions_file:
-        path, places = Path(config.conditions_file), {"speed_rpm": "number", "time_s": "number"}
-        table, operating = read_with_conditions(path, {"run": "text"}, places)
-        require_complete(operating, path, table)
-        if not operating:
-            raise DataError(
-                f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
-            )
-        if places.keys() <= table.keys():
-            raise DataError(f"'{path}' must have speed_rpm or time_s, but it has both: leave one out")
-        logged = table, operating
+    logged = _read_log(config)
+    conditions = []
     for run, tracks in zip(config.runs, runs, strict=True):
         levels = {name: np.interp(speeds, *condition) for name, condition in tracks.conditions.items()}
         if logged is not None:
@@ -55,6 +45,22 @@ def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: n
                 "machine.recordings.conditions_file"
             )
     return {name: np.stack([levels[name] for levels in conditions], axis=1) for name in names}
+
+
+def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:
+    if not config.conditions_file:
+        return None
+    path = Path(config.conditions_file)
+    places = {"speed_rpm": "number", "time_s": "number"}
+    table, operating = read_with_conditions(path, {"run": "text"}, places)
+    require_complete(operating, path, table)
+    if not operating:
+        raise DataError(
+            f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
+        )
+    if places.keys() <= table.keys():
+        raise DataError(f"'{path}' must have speed_rpm or time_s, but it has both: leave one out")
+    return table, operating
 
 
 def _look_up(
@@ -94,6 +100,17 @@ def _look_up(
             f"{given[0]:.6g} to {given[-1]:.6g}: nothing is extrapolated"
         )
     return {name: np.interp(wanted, given, values[rows][order]) for name, values in operating.items()}
+
+
+def name_recordings(config: MeasuredConfig, conditions: Conditions) -> tuple[str, ...]:
+    """R names: that of the run, with its conditions where several recordings have it."""
+    names = [run.name for run in config.runs]
+    return tuple(
+        f"{name}, {name_state({key: condition[:, r] for key, condition in conditions.items()})}"
+        if names.count(name) > 1
+        else name
+        for r, name in enumerate(names)
+    )
 
 
 def _group(recorded: VibrationDataset, place: np.ndarray) -> list[list[int]]:

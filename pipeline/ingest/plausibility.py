@@ -108,6 +108,20 @@ def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:
     return notes
 
 
+def note_dead(run: str, sizes: Mapping[str, float], dead: float = 0.01) -> list[str]:
+    """A sentence for each probe of a ``run`` that reads next to nothing, from the root mean squares of all, m.
+
+    Below the share ``dead`` of what the probes read (median) one is not connected.
+    """
+    usual = float(np.median(list(sizes.values())))
+    return [
+        f"probe '{probe}' of run '{run}' reads {100 * size / usual:.2g} % of what the probes read (median): is it "
+        "dead, or is its scale that of another unit?"
+        for probe, size in sizes.items()
+        if 0 < size < dead * usual
+    ]
+
+
 def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float = 0.01) -> list[str]:
     """A sentence for each probe whose signal stays at its largest or smallest value: it left its range.
 

@@ -49,7 +49,8 @@ def recognize_recordings(
     key that its format lacks.
 
     Files of the same columns beside it, and sheets of a workbook, are runs; two probes are at each of the bearings'
-    ``nodes``. Raises DataError for a file that is no table, and where no probe is recognised in its columns.
+    ``nodes``. Raises DataError for a file that is no
+    table, and where no probe is recognised in its columns.
     """
     if path.suffix.lower() in (".uff", ".unv"):
         return _recognize_records(path, folder, nodes)
@@ -82,12 +83,7 @@ def recognize_recordings(
         for probe, name in probes.items()
     }
     guesses |= {"columns": f"{{speed: {_write(speed)}}}", "probes": _list_probes(seen, nodes)}
-    # The range that all have, in the usual step of the first.
-    tables = [read_table(other, {speed: "number"}, text=PLAIN.on(sheet)) for other, sheet in runs.values()]
-    every = [_RPM.get(guesses["speed"], 1.0) * np.unique(table[speed]) for table in tables]
-    start, stop = max(float(speeds[0]) for speeds in every), min(float(speeds[-1]) for speeds in every)
-    step = float(np.median(np.diff(every[0]))) if len(every[0]) > 1 else 1.0
-    return "tables", guesses | {"speeds": f"{{start_rpm: {start:g}, stop_rpm: {stop:g}, step_rpm: {step:g}}}"}
+    return "tables", guesses | {"speeds": _find_speeds(runs, speed, _RPM.get(guesses["speed"], 1.0))}
 
 
 def _describe_signals(
@@ -169,3 +165,12 @@ def _list_runs(runs: Mapping[str, tuple[Path, str | None]], folder: Path, part: 
         acting = "" if name == baseline else ', unbalances: "???"'
         lines.append(f"    - {{name: {_write(name)}, {source}{acting}}}\n")
     return {"runs": "".join(lines), "baseline": _write(baseline)}
+
+
+def _find_speeds(runs: Mapping[str, tuple[Path, str | None]], column: str, rpm: float) -> str:
+    """The range that all have, in the usual step of the first; the file's unit is so many ``rpm``."""
+    tables = [read_table(path, {column: "number"}, text=PLAIN.on(sheet)) for path, sheet in runs.values()]
+    every = [rpm * np.unique(table[column]) for table in tables]
+    start, stop = max(float(speeds[0]) for speeds in every), min(float(speeds[-1]) for speeds in every)
+    step = float(np.median(np.diff(every[0]))) if len(every[0]) > 1 else 1.0
+    return f"{{start_rpm: {start:g}, stop_rpm: {stop:g}, step_rpm: {step:g}}}"

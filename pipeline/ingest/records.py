@@ -220,22 +220,7 @@ def to_dataset(records: Records) -> VibrationDataset:
     A condition need not have every record at every speed. Raises DataError for blank cells, for a record that is there
     twice at a speed, and for a condition with two different weights.
     """
-    for values, what in (
-        (records.displacement, "the vector of every probe"),
-        (records.unbalance, "the weights of every plane"),
-    ):
-        rows = np.flatnonzero(np.isnan(values).any(axis=1))
-        if len(rows):
-            raise DataError(
-                f"{records.source} must have {what} in every row, but row {rows[0] + 1} has not ({len(rows)} rows in "
-                "all): complete it, or leave the row out"
-            )
-    weights: dict[str, np.ndarray] = {}
-    for condition, unbalance in zip(records.conditions, records.unbalance, strict=True):
-        if not np.allclose(weights.setdefault(condition, unbalance), unbalance, rtol=1e-6):
-            raise DataError(
-                f"{records.source} must have the same weights in all records of a condition, but '{condition}' has two"
-            )
+    _require_complete(records)
     nominal, group = find_speeds(records.speeds)
     names = [f"{c}.{r}" for c, r in zip(records.conditions, records.numbers, strict=True)]
     runs = tuple(dict.fromkeys(names))
@@ -270,3 +255,22 @@ def to_dataset(records: Records) -> VibrationDataset:
         conditions=conditions,
         present=counts > 0,
     )
+
+
+def _require_complete(records: Records) -> None:
+    for values, what in (
+        (records.displacement, "the vector of every probe"),
+        (records.unbalance, "the weights of every plane"),
+    ):
+        rows = np.flatnonzero(np.isnan(values).any(axis=1))
+        if len(rows):
+            raise DataError(
+                f"{records.source} must have {what} in every row, but row {rows[0] + 1} has not ({len(rows)} rows in "
+                "all): complete it, or leave the row out"
+            )
+    weights: dict[str, np.ndarray] = {}
+    for condition, unbalance in zip(records.conditions, records.unbalance, strict=True):
+        if not np.allclose(weights.setdefault(condition, unbalance), unbalance, rtol=1e-6):
+            raise DataError(
+                f"{records.source} must have the same weights in all records of a condition, but '{condition}' has two"
+            )

@@ -56,21 +56,9 @@ def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6
     """The 1X vectors of a run of ROSS, which has so many ``dof`` a node."""
     path = Path(run.sources(config.file)[0])
     with open_measured(path, "response that ROSS saved", _NEXT):
-        if path.suffix.lower() == ".json":
-            raise DataError(f"'{path}' must be TOML, but it is JSON, where ROSS leaves complex numbers out: {_NEXT}")
-        whole = tomllib.loads(path.read_text(encoding="utf-8"))
-        content = whole.get(_KIND, {})
-        if not {"forced_resp", "speed_range"} <= content.keys():
-            listed = ", ".join(whole) or "nothing"
-            raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {listed[:100]}: {_NEXT}")
+        content = _load(path)
         speeds = np.asarray(content["speed_range"], dtype=float)
-        try:  # texts such as np.complex128(1+2j)
-            texts = [[str(text).removeprefix("np.complex128") for text in row] for row in content["forced_resp"]]
-            response = np.array([[complex(text) for text in row] for row in texts])
-        except (TypeError, ValueError) as error:
-            raise DataError(f"'{path}' must have complex numbers in forced_resp, but it has others ({error})") from None
-        if not np.isfinite(response).all():
-            raise DataError(f"'{path}' must have finite numbers in forced_resp, but it has others: is the rotor held?")
+        response = _to_complex(path, content["forced_resp"])
         if response.ndim != 2 or response.shape[1] != len(speeds):
             raise DataError(
                 f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
@@ -87,6 +75,27 @@ def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6
         direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
         tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
     return RunTracks(run.name, f"'{path}'", tracks, tracks)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    if path.suffix.lower() == ".json":
+        raise DataError(f"'{path}' must be TOML, but it is JSON, where ROSS leaves complex numbers out: {_NEXT}")
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    if not {"forced_resp", "speed_range"} <= content.get(_KIND, {}).keys():
+        listed = ", ".join(content) or "nothing"
+        raise DataError(f"'{path}' must have {_KIND} of ROSS, but it has {listed[:100]}: {_NEXT}")
+    return dict(content[_KIND])
+
+
+def _to_complex(path: Path, rows: Any) -> np.ndarray:
+    """Complex values of texts such as ``np.complex128(1+2j)``. Raises DataError."""
+    try:
+        values = np.array([[complex(str(text).removeprefix("np.complex128")) for text in row] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise DataError(f"'{path}' must have complex numbers in forced_resp, but it has others ({error})") from None
+    if not np.isfinite(values).all():
+        raise DataError(f"'{path}' must have finite numbers in forced_resp, but it has others: is the rotor held?")
+    return values
 
 
 def _check_unbalances(path: Path, stated: Any, acting: Sequence[Excitation]) -> None:

@@ -126,7 +126,7 @@ class TableRecordingsConfig(MeasuredConfig):
 
 
 def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> RunTracks:
-    named, said, wide = config.columns, config.conventions, config.layout == "wide"
+    named, wide = config.columns, config.layout == "wide"
     pairs: dict[str, ColumnPairConfig | TableColumnsConfig] = {
         name: (wide and (run.columns.get(name) or probe.columns)) or named for name, probe in config.probes.items()
     }
@@ -135,48 +135,45 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
     labels = {} if wide else {named.run: "text", named.probe: "text"}
     kinds, text = labels | dict.fromkeys((named.speed, *columns), "number"), config.csv.on(run.sheet)
     table = read_table(path, kinds, text=text)
-    if not wide:  # the rows of the run
-        known = {each.name for each in config.runs} | set(config.leave_out)
-        strange = [name for name in dict.fromkeys(table[named.run]) if name not in known]
-        if strange:
-            raise DataError(
-                f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is "
-                "not among them: add it (or name it as machine.recordings.baseline too), or put it into "
-                "machine.recordings.leave_out"
-            )
-        law = f"'{path}' must have rows of run '{run.name}' in the column '{named.run}'"
-        table = _select(table, named.run, run.name, law)
-    tracks, phases = dict[str, Track](), []
+    table = table if wide else _select_run(config, run, table, path)
+    tracks, phases = {}, []
     for name, pair in pairs.items():
         rows, where = table, f"'{path}'"
         if not wide:
             label = config.probes[name].label or name
             law = f"'{path}' must have rows of probe '{label}' in run '{run.name}'"
             rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
-        amplitude, phase = rows[pair.amplitude], rows[pair.phase]
-        if (amplitude < 0).any():
-            raise DataError(
-                f"{where} must have amplitudes of zero or more in the column '{pair.amplitude}', but got "
-                f"{amplitude.min():g}: write it positive, with its phase turned by 180 deg"
-            )
-        angle = np.radians(phase) if said.phase_unit == "deg" else phase
-        order, size = to_motion(said.unit, config.probes[name].scale)
-        vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
-        speeds = rows[named.speed] * RAD_S[said.speed]
-        tracks[name] = sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
-        phases.append(phase)
+        tracks[name] = _make_track(config, run, name, rows, pair, where)
+        phases.append(rows[pair.phase])
     notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
     notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
-    speeds, at = np.unique(table[named.speed], return_inverse=True)
-    conditions = {  # the mean of the rows of a speed
+    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=_average_conditions(config, table))
+
+
+def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
+    speeds, at = np.unique(table[config.columns.speed], return_inverse=True)
+    return {
         name: (
             speeds * RAD_S[config.conventions.speed],
             np.bincount(at.ravel(), to_base(table[condition.column].astype(float), condition.unit))
             / np.bincount(at.ravel()),
         )
-        for name, condition in named.conditions.items()
+        for name, condition in config.columns.conditions.items()
     }
-    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions)
+
+
+def _select_run(config: TableRecordingsConfig, run: TableRunConfig, table: Columns, path: Path) -> Columns:
+    """The rows of a run of the long layout. Raises DataError where there are none, and for runs that nobody named."""
+    column, known = config.columns.run, {run.name for run in config.runs} | set(config.leave_out)
+    strange = [name for name in dict.fromkeys(table[column]) if name not in known]
+    if strange:
+        raise DataError(
+            f"machine.recordings.runs must name every run of '{path}' with what excited it, but '{strange[0]}' is not "
+            "among them: add it (or name it as machine.recordings.baseline too), or put it into "
+            "machine.recordings.leave_out"
+        )
+    return _select(table, column, run.name, f"'{path}' must have rows of run '{run.name}' in the column '{column}'")
 
 
 def _select(table: Columns, name: str, value: str, law: str) -> Columns:
@@ -184,6 +181,27 @@ def _select(table: Columns, name: str, value: str, law: str) -> Columns:
     if not rows.any():
         raise DataError(f"{law}, but it has {nearest(value, set(table[name]))}")
     return {column: values[rows] for column, values in table.items()}
+
+
+def _make_track(
+    config: TableRecordingsConfig,
+    run: TableRunConfig,
+    probe: str,
+    table: Columns,
+    pair: ColumnPairConfig | TableColumnsConfig,
+    where: str,
+) -> Track:
+    said, amplitude, phase = config.conventions, table[pair.amplitude], table[pair.phase]
+    if (amplitude < 0).any():
+        raise DataError(
+            f"{where} must have amplitudes of zero or more in the column '{pair.amplitude}', but got "
+            f"{amplitude.min():g}: write it positive, with its phase turned by 180 deg"
+        )
+    angle = np.radians(phase) if said.phase_unit == "deg" else phase
+    order, size = to_motion(said.unit, config.probes[probe].scale)
+    vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
+    speeds = table[config.columns.speed] * RAD_S[said.speed]
+    return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
 
 
 def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) -> tuple[str, ...]:

@@ -75,10 +75,14 @@ def find_pulses(
     pulses = time[before] + share * step
     # An edge that is higher than what the interpolation sees of it lies anywhere between two samples.
     sharp = np.median(signal[before + 1] - signal[before]) > 0.9 * (high - low)
-    # At a whole number of samples a period all of them lie alike, half a sample off at most.
-    apart = np.diff(pulses) / np.median(step)
+    return pulses, _find_locked_error(pulses, float(np.median(step))) if sharp else 0.0
+
+
+def _find_locked_error(pulses: np.ndarray, step: float) -> float:
+    """Half a ``step`` between samples (s) for sharp edges at a whole number of samples a period, else 0."""
+    apart = np.diff(pulses) / step
     locked = len(apart) > 1 and np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5
-    return pulses, 0.5 * float(np.median(step)) if sharp and locked else 0.0
+    return 0.5 * step if locked else 0.0
 
 
 def fit_angle(
@@ -94,47 +98,61 @@ def fit_angle(
             f"{where} must have at least {least} tacho pulses ({least_revolutions} revolutions), but it has "
             f"{len(pulses)}: give a longer record, or check tacho.threshold"
         )
-    # With a constant acceleration the squared pulse rate is linear in the pulse number, also from standstill.
+    _check_regular(pulses, where)
+    turns = np.arange(len(pulses)) / per_revolution
+    spline = _fit_spline(pulses, turns)
+    if marks is not None:
+        turns = turns - _find_mark(np.asarray(spline(marks[(marks >= pulses[0]) & (marks <= pulses[-1])])), where)
+        spline = _fit_spline(pulses, turns)
+    return ShaftAngle(spline, float(pulses[0]), float(pulses[-1]))
+
+
+def _check_regular(pulses: np.ndarray, where: str) -> None:
+    """With a constant acceleration the squared pulse rate is linear in the pulse number, also from standstill."""
     squared = np.diff(pulses) ** -2.0
     ratio = squared[1:-1] / (0.5 * (squared[:-2] + squared[2:]))
     odd = np.flatnonzero((ratio < 0.6) | (ratio > 1.5))
     if len(odd):
+        at = pulses[odd[0] + 1]
         raise DataError(
             f"{where} must have evenly spaced tacho pulses, but {len(odd)} of {len(pulses)} intervals do not fit their "
-            f"neighbours (the first at {pulses[odd[0] + 1]:.6g} s): pulses are missing or doubled; check "
-            "tacho.threshold and tacho.hysteresis, or cut the record"
+            f"neighbours (the first at {at:.6g} s): pulses are missing or doubled; check tacho.threshold and "
+            "tacho.hysteresis, or cut the record"
         )
-    turns = np.arange(len(pulses)) / per_revolution
-    spline = _fit_spline(pulses, turns)
-    if marks is not None:  # the place of the mark in a revolution, from where its pulses fall
-        places = np.asarray(spline(marks[(marks >= pulses[0]) & (marks <= pulses[-1])]))
-        if not len(places):
-            raise DataError(f"{where} must have a pulse in tacho.mark_channel within the record, but there is none")
-        mean = np.exp(1j * _TURN * places).mean()
-        if abs(mean) < 0.9:
-            raise DataError(
-                f"{where} must have its marks at one angle of the shaft, but they are spread over the revolution: "
-                "check tacho.pulses_per_revolution"
-            )
-        spline = _fit_spline(pulses, turns - float(np.angle(mean) / _TURN))
-    return ShaftAngle(spline, float(pulses[0]), float(pulses[-1]))
+
+
+def _find_mark(marks: np.ndarray, where: str) -> float:
+    """The place of the mark in a revolution, from where its pulses fall."""
+    if not len(marks):
+        raise DataError(f"{where} must have a pulse in tacho.mark_channel within the record, but there is none")
+    mean = np.exp(1j * _TURN * marks).mean()
+    if abs(mean) < 0.9:
+        raise DataError(
+            f"{where} must have its marks at one angle of the shaft, but they are spread over the revolution: check "
+            "tacho.pulses_per_revolution"
+        )
+    return float(np.angle(mean) / _TURN)
 
 
 def _fit_spline(pulses: np.ndarray, turns: np.ndarray) -> Any:
-    """Of the knots of the least cross-validation: from a single cubic to a knot at every second pulse, even in the
-    angle, and even in the time.
-    """
     from scipy.interpolate import make_lsq_spline
 
     n = len(pulses)
     period = np.gradient(pulses)
-    counts = np.unique(np.round(np.sqrt(2.0) ** np.arange(2 * np.log2(max(1, (n - 4) // 2)) + 1e-9)).astype(int))
-    even_in_angle = [np.interp(np.linspace(0, n - 1, m + 1), np.arange(n), pulses) for m in counts]
-    longest = (pulses[-1] - pulses[0]) / (2 * period.max())
-    even_in_time = [np.linspace(pulses[0], pulses[-1], m + 1) for m in counts if 1 < m <= longest]
     fits = []
-    for knots in (*even_in_angle, *even_in_time):
+    for knots in _list_knots(pulses, period):
         spline = make_lsq_spline(pulses, turns, np.pad(knots, 3, mode="edge"), k=3, w=period)
         rest = (turns - spline(pulses)) * period
         fits.append((float(rest @ rest) / (1 - (len(knots) + 2) / n) ** 2, spline))
     return min(fits, key=lambda fit: fit[0])[1]
+
+
+def _list_knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
+    """Candidates, from a single cubic to a knot at every second pulse: even in the angle, and even in the time."""
+    most = max(1, (len(pulses) - 4) // 2)
+    counts = np.unique(np.round(np.sqrt(2.0) ** np.arange(2 * np.log2(most) + 1e-9)).astype(int))
+    number = np.arange(len(pulses))
+    even_in_angle = [np.interp(np.linspace(0, len(pulses) - 1, m + 1), number, pulses) for m in counts]
+    longest = (pulses[-1] - pulses[0]) / (2 * period.max())
+    even_in_time = [np.linspace(pulses[0], pulses[-1], m + 1) for m in counts if 1 < m <= longest]
+    return [*even_in_angle, *even_in_time]

@@ -132,7 +132,7 @@ class UffRecordingsConfig(SignalConfig):
             _check_content(record, order, f"'{path}', record {record.name},")
         signals = {name: record.values for name, record in records.items()}
         check_channels(path, signals | {tacho: pulses.values, "time": pulses.abscissa})
-        return check_times(path, "time", pulses.abscissa), signals, [(tacho, pulses.values)], ()
+        return Loaded(check_times(path, "time", pulses.abscissa), signals, ((tacho, pulses.values),))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -167,35 +167,13 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
     import pyuff
 
     with open_measured(path, "complete universal file"):
-        raw = path.read_bytes()
+        content = path.read_bytes()
         stored = pyuff.UFF(str(path))
         count = int(stored.get_n_sets())
-        if len(_MARK.findall(raw)) != 2 * count or not raw.rstrip().endswith(b"-1"):
+        if len(_MARK.findall(content)) != 2 * count or not content.rstrip().endswith(b"-1"):
             raise DataError(f"'{path}' must be a complete universal file, but it ends within a dataset: copy it again")
         sets: list[dict[str, Any]] = [stored.read_sets(i) for i in range(count)]
-    records = []
-    for content in (dataset for dataset in sets if dataset.get("type") == 58):
-        texts = [str(content.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
-        record = UffRecord(
-            texts=tuple(text for text in texts if text not in ("", "NONE")),
-            response=(int(content["rsp_node"]), int(content["rsp_dir"])),
-            abscissa=np.asarray(content["x"], dtype=float),
-            values=np.asarray(content["data"]),
-            abscissa_type=int(content.get("abscissa_spec_data_type", 0)),
-            abscissa_label=str(content.get("abscissa_axis_units_lab", "")),
-            ordinate_type=int(content.get("ordinate_spec_data_type", 0)),
-            ordinate_label=str(content.get("ordinate_axis_units_lab", "")),
-            denominator_type=int(content.get("orddenom_spec_data_type", 0)),
-        )
-        n = int(content["num_pts"])
-        if not n == len(record.values) == len(record.abscissa) or n == 0:
-            raise DataError(
-                f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "
-                f"{len(record.values)}: the file is damaged, copy it again"
-            )
-        if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
-            raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
-        records.append(record)
+    records = tuple(_make_record(path, dataset) for dataset in sets if dataset.get("type") == 58)
     if not records:
         raise DataError(
             f"'{path}' must have datasets 58 (functions at nodal DOF), but it has "
@@ -203,7 +181,7 @@ def read_uff(path: Path) -> tuple[tuple[UffRecord, ...], float]:
         )
     units = [dataset for dataset in sets if dataset.get("type") == 164]
     factor = float(units[0].get("length", 0.0)) if units else 0.0
-    return tuple(records), 1 / factor if factor > 0 else 0.0
+    return records, 1 / factor if factor > 0 else 0.0
 
 
 def list_records(path: Path) -> tuple[dict[str, str], list[str], bool]:
@@ -298,9 +276,7 @@ def _check_content(record: UffRecord, order: int, where: str) -> None:
 def _note_contradictions(record: UffRecord, metre: float, said: VectorConventionsConfig, where: str) -> list[str]:
     """Sentences on what the file says otherwise than the configuration, which is followed."""
     notes = []
-    named = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", record.ordinate_label.strip())
-    motion = find_motion(named) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", named) else None
-    labelled_size, followed = motion[1] if motion else None, find_motion(said.unit)
+    labelled_size, followed = _read_unit(record.ordinate_label), find_motion(said.unit)
     stated = labelled_size or (metre if said.unit != "g" else 0.0)
     if followed and stated and not np.isclose(stated, followed[1], rtol=1e-3):
         text = f"'{record.ordinate_label}'" if labelled_size else f"{stated:g} m (dataset 164)"
@@ -320,3 +296,34 @@ def _note_contradictions(record: UffRecord, metre: float, said: VectorConvention
     if record.denominator_type in _FORCES:
         notes.append(f"{where} is per force: its numbers are right for a force of 1 N in this run")
     return notes
+
+
+def _read_unit(label: str) -> float | None:
+    """Size in SI units of what a label names; None where it names nothing that a probe measures."""
+    label = re.sub(r"(?i)\s*(pk-?pk|p-?p|0-?p|pk|rms)$", "", label.strip())
+    motion = find_motion(label) if re.fullmatch(r"[^\W\d_][^\d_]*\^?2?", label) else None
+    return motion[1] if motion else None
+
+
+def _make_record(path: Path, content: dict[str, Any]) -> UffRecord:
+    texts = [str(content.get(key, "")).strip() for key in ("id1", "id2", "id3", "id4", "id5", "rsp_ent_name")]
+    record = UffRecord(
+        texts=tuple(text for text in texts if text not in ("", "NONE")),
+        response=(int(content["rsp_node"]), int(content["rsp_dir"])),
+        abscissa=np.asarray(content["x"], dtype=float),
+        values=np.asarray(content["data"]),
+        abscissa_type=int(content.get("abscissa_spec_data_type", 0)),
+        abscissa_label=str(content.get("abscissa_axis_units_lab", "")),
+        ordinate_type=int(content.get("ordinate_spec_data_type", 0)),
+        ordinate_label=str(content.get("ordinate_axis_units_lab", "")),
+        denominator_type=int(content.get("orddenom_spec_data_type", 0)),
+    )
+    n = int(content["num_pts"])
+    if not n == len(record.values) == len(record.abscissa) or n == 0:
+        raise DataError(
+            f"'{path}' must have {n} values in record {record.name}, as its header says, but it has "
+            f"{len(record.values)}: the file is damaged, copy it again"
+        )
+    if not (np.isfinite(record.abscissa).all() and np.isfinite(record.values).all()):
+        raise DataError(f"'{path}' must have finite numbers, but record {record.name} has NaN or infinite ones")
+    return record

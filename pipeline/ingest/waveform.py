@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,10 +36,15 @@ from pipeline.units import RAD_S_PER_RPM
 Edge = Literal["rising", "falling"]
 
 
-Loaded = tuple[np.ndarray, Mapping[str, np.ndarray], Sequence[tuple[str, np.ndarray]], tuple[str, ...]]
-"""What a file of a run has, sampled together: the times (n,) s, ascending; the signals (n,) of the probes by name, in
-the file's numbers; channels and signals (n,) of the tacho, of the marks, if there are some, and of the pulses; and
-sentences on it."""
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """What a file of a run has, sampled together: the signals of the probes and of the tacho, and sentences on it."""
+
+    time: np.ndarray  # (n,) s, ascending
+    signals: Mapping[str, np.ndarray]  # by probe, (n,) in the file's numbers
+    tacho: tuple[tuple[str, np.ndarray], ...]  # channel and (n,): of the marks, if there is one, and of the pulses
+    pulses_per_revolution: int = 1
+    notes: tuple[str, ...] = ()
 
 
 class SignalRunConfig(MeasuredRunConfig):
@@ -210,9 +216,13 @@ class WaveformRecordingsConfig(SignalConfig):
             run.sample_rate or self.sample_rate,
             self.sample_rate_attribute,
         )
-        notes = describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
-        signals = {name: channels[channel] for name, channel in names.items()}
-        return time, signals, [(name, channels[name]) for name in tacho], notes
+        return Loaded(
+            time,
+            {name: channels[channel] for name, channel in names.items()},
+            tuple((name, channels[name]) for name in tacho),
+            self.tacho.pulses_per_revolution,
+            describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else (),
+        )
 
 
 def _fit_records(
@@ -260,16 +270,24 @@ def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, sl
 
 def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> Signals:
     """The signals of a file in m, m/s or m/s^2, the probes in their order."""
-    where, (time, loaded, channels, notes), tacho = f"'{path}' (run '{run.name}')", config.load(run, path), config.tacho
-    levels = (tacho.edge or "rising", tacho.threshold, tacho.hysteresis)
-    pulses = [find_pulses(time, signal, *levels, f"{where}, channel '{name}',") for name, signal in channels]
+    where, loaded, tacho = f"'{path}' (run '{run.name}')", config.load(run, path), config.tacho
+    pulses = [
+        find_pulses(
+            loaded.time,
+            signal,
+            tacho.edge or "rising",
+            tacho.threshold,
+            tacho.hysteresis,
+            f"{where}, channel '{name}',",
+        )
+        for name, signal in loaded.tacho
+    ]
     marks = pulses[0][0] if len(pulses) > 1 else None
     times, late = pulses[-1]
-    count = getattr(tacho, "pulses_per_revolution", 1)
-    angle = fit_angle(times, count, f"{where}, channel '{channels[-1][0]}',", marks)
+    angle = fit_angle(times, loaded.pulses_per_revolution, f"{where}, channel '{loaded.tacho[-1][0]}',", marks)
     sizes = {name: to_motion(config.signal_unit or "", probe.scale)[1] for name, probe in config.probes.items()}
-    values = np.stack([loaded[name] * size for name, size in sizes.items()], axis=1)
-    return Signals(time, values, angle, where, late, notes + tuple(note_clipping(where, loaded)))
+    values = np.stack([loaded.signals[name] * size for name, size in sizes.items()], axis=1)
+    return Signals(loaded.time, values, angle, where, late, loaded.notes + tuple(note_clipping(where, loaded.signals)))
 
 
 def _make_tracks(config: SignalConfig, speeds: np.ndarray, vectors: np.ndarray, where: str) -> dict[str, Track]:

@@ -67,25 +67,8 @@ def model_parameters(
                     f"the bearing beside it, but got the bearing node {coupling_node}"
                 )
             kind_parameters = [ModelParameter(kind, deviation, f"node {coupling_node}", coupling_node)]
-        first, last = float(rotor.positions[0]), float(rotor.positions[-1])
-        for parameter in kind_parameters if kind in _ALONG_SHAFT else ():  # one deviation must not leave the shaft
-            node = (
-                rotor.bearing_nodes[parameter.place]
-                if parameter.kind == "bearing_position"
-                else dataset.channels[parameter.place][0]
-            )
-            place = float(rotor.view_positions[node])
-            room = (
-                max(place - first, last - place)
-                if parameter.kind == "probe_position"
-                else min(place - first, last - place)
-            )
-            if parameter.deviation > room:
-                raise ConfigError(
-                    f"identify.model_parameters.{parameter.kind} must leave node {node} on the shaft, whose end is "
-                    f"{1e3 * room:g} mm from it, but got {1e3 * parameter.deviation:g} mm: state less, or "
-                    "model the shaft's end"
-                )
+        if kind in _ALONG_SHAFT:
+            _require_on_shaft(kind_parameters, rotor, dataset)
         if not kind_parameters:
             raise ConfigError(
                 f"identify.model_parameters.{kind} must belong to something that the machine has, but it has "
@@ -147,6 +130,27 @@ _MISSING = {
     "two bearings",
 }
 _ALONG_SHAFT = ("bearing_position", "probe_position")
+
+
+def _require_on_shaft(parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset) -> None:
+    """Raise ConfigError where one deviation along the shaft leaves it."""
+    first, last = float(rotor.positions[0]), float(rotor.positions[-1])
+    for parameter in parameters:
+        node = (
+            rotor.bearing_nodes[parameter.place]
+            if parameter.kind == "bearing_position"
+            else dataset.channels[parameter.place][0]
+        )
+        place = float(rotor.view_positions[node])
+        room = (
+            max(place - first, last - place) if parameter.kind == "probe_position" else min(place - first, last - place)
+        )
+        if parameter.deviation > room:
+            raise ConfigError(
+                f"identify.model_parameters.{parameter.kind} must leave node {node} on the shaft, whose end is "
+                f"{1e3 * room:g} mm from it, but got {1e3 * parameter.deviation:g} mm: state less, or "
+                "model the shaft's end"
+            )
 
 
 def _list_places(

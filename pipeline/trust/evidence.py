@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,14 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
 from pipeline.trust.misfit import Misfit, measure_misfit
 from pipeline.twin.prediction import find_shares
+
+
+class Growth(NamedTuple):
+    """The largest real part of an eigenvalue over the speeds, 1/s; positive is unstable."""
+
+    largest_growth: float
+    largest_growth_std: float
+    unstable_from_rpm: float | None  # the lowest speed at which it is told from zero
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,7 +45,7 @@ class Evidence:
     predicted: Mapping[str, float]  # run -> mean square error predicted from the other runs, over the noise
     superposed: Mapping[str, float]  # run -> mean square error by superposition of the others, over the noise
     priors: Mapping[str, float]  # model parameter -> value after the fit, in prior deviations
-    growth: Mapping[str, float | None]  # see :func:`find_growth`
+    growth: Growth
     outcome: str  # of the training
 
     @property
@@ -110,10 +118,8 @@ def find_growth(
     identified: IdentifiedModel,
     uncertainty: Uncertainty,
     most_speeds: int = 40,
-) -> dict[str, float | None]:
-    """The growth of the identified machine, at ``most_speeds`` of its speeds: the largest real part of an eigenvalue,
-    1/s (positive is unstable), its standard deviation, and the lowest speed at which it is told from zero.
-    """
+) -> Growth:
+    """The growth of the identified machine, at ``most_speeds`` of its speeds."""
     from pipeline.data.vibration_files import to_rpm
     from pipeline.twin.mode_deviations import deviate_modes
     from pipeline.twin.modes import Stability, find_modes, judge_growth
@@ -128,11 +134,7 @@ def find_growth(
         if judge_growth(float(largest), float(spread)) is Stability.UNSTABLE
     ]
     s = int(modes.growth.argmax())
-    return {
-        "largest_growth": float(modes.growth[s]),
-        "largest_growth_std": float(deviation[s]),
-        "unstable_from_rpm": float(unstable[0]) if unstable else None,
-    }
+    return Growth(float(modes.growth[s]), float(deviation[s]), float(unstable[0]) if unstable else None)
 
 
 def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str, float]:

@@ -183,7 +183,7 @@ def judge(
         "predicted_from_other_runs_over_noise": dict(evidence.predicted),
         "superposition_over_noise": dict(evidence.superposed),
         "model_parameters": most_moved and dict(zip(("most_moved", "prior_deviations"), most_moved, strict=True)),
-        "stability": evidence.growth,
+        "stability": evidence.growth._asdict(),
         "speeds": {"first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
     }
     verdicts = []

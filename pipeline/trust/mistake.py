@@ -194,6 +194,12 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
             "the cables of these two channels",
             exchange(measurement, [(i, j)], 1),
         )
+    yield from _of_nodes(measurement)
+
+
+def _of_nodes(measurement: Measurement) -> Iterator[Mistake]:
+    """The probes of two nodes exchanged."""
+    data = measurement.dataset
     nodes = list(dict.fromkeys(node for node, _ in data.channels))
     for a, b in itertools.combinations(nodes, 2):
         channels = {

@@ -145,7 +145,7 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
                 "Train again with more steps (optimizer.levenberg_marquardt.steps=1000).",
             )
         )
-    largest, deviation, unstable_rpm = evidence.growth.values()
+    largest, deviation, unstable_rpm = evidence.growth
     if unstable_rpm is not None:
         reasons.append(
             Reason(

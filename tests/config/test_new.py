@@ -246,8 +246,8 @@ def test_signals_of_any_format_fill_the_machine_file(ending: str, folder: Path) 
     text = path.read_text().replace("signal_unit: ???", "signal_unit: V").replace('channel: "???"', 'channel: "3"')
     path.write_text(text.replace('"???"', "[{node: 2, magnitude: 9 g mm, phase: 0 deg}]"))
     recordings = compose_config([given_by(path)]).machine.recordings
-    time, signals, *_ = recordings.load(recordings.runs[-1], Path(recordings.runs[-1].file))
+    loaded = recordings.load(recordings.runs[-1], Path(recordings.runs[-1].file))
     assert [run.name for run in recordings.runs] == ["as_found", "first"]
-    np.testing.assert_allclose(time, TIME, atol=1e-6)
-    first = list(signals.values())[:2]
+    np.testing.assert_allclose(loaded.time, TIME, atol=1e-6)
+    first = list(loaded.signals.values())[:2]
     np.testing.assert_allclose(first, [SIGNALS["DE_left"], SIGNALS["DE_right"]], atol=1e-6)

@@ -11,7 +11,7 @@ from conftest import assert_says
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import Deviations
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.trust.evidence import Evidence
+from pipeline.trust.evidence import Evidence, Growth
 from pipeline.trust.judgement import judge
 from pipeline.trust.misfit import measure_misfit
 from pipeline.trust.mistake import Mistake
@@ -41,7 +41,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "predicted": {"a": 1.0, "b": 1.0},
         "superposed": {"a": 1.0, "b": 1.0},
         "priors": {},
-        "growth": {"largest_growth": -1.0, "largest_growth_std": 0.1, "unstable_from_rpm": None},
+        "growth": Growth(-1.0, 0.1, None),
         "outcome": "converged",
     }
     return Evidence(**(given | changed))
@@ -96,13 +96,8 @@ def test_a_cross_term_of_zero_has_a_verdict() -> None:
 
 
 def test_a_growth_within_its_deviation_turns_nothing() -> None:
-    assert (
-        record(gathered(growth={"largest_growth": 0.35, "largest_growth_std": 1.7, "unstable_from_rpm": None}))[
-            "machine"
-        ]["verdict"]
-        == "good"
-    )
-    judged = record(gathered(growth={"largest_growth": 9.0, "largest_growth_std": 1.0, "unstable_from_rpm": 2100.0}))
+    assert record(gathered(growth=Growth(0.35, 1.7, None)))["machine"]["verdict"] == "good"
+    judged = record(gathered(growth=Growth(9.0, 1.0, 2100.0)))
     assert judged["machine"]["verdict"] == "with care"
     assert "9.0 +- 1.0 1/s" in judged["machine"]["reason"]
 
