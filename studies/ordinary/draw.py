@@ -265,6 +265,8 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
         factors = np.exp(trouble.get("drift", 0.0) * generator.standard_normal((len(felt.nodes), 1, 1)))
         placed = [
             replace(e, magnitude=e.magnitude * (1 + weight[0] * size), phase=e.phase + weight[1] * ahead)
+            if e.kind == "unbalance"
+            else e
             for e, (size, ahead) in zip(excitations, misplaced.standard_normal((len(excitations), 2)), strict=True)
         ]
         real = [*placed, *(Excitation(name, "unbalance", *one) for one in residual)]
