@@ -254,8 +254,7 @@ def _settle(
     share = np.inf
     for _ in range(turns):
         whitened, y, _ = _rank(whitened, y, kept)
-        best = whitened.weights(y)[:1]
-        problem = problem.with_baseline(best).update(best)
+        problem = problem.with_baseline(whitened.weights(y)[:1]).update(whitened.weights(y)[:1])
         before, share = share, min(_noise(replace(whitened, problem=problem), y), most_exact)
         whitened = replace(whitened, problem=problem.scaled(share))
         y = whitened.minimise(y, 1e-4, steps=20)
