@@ -26,6 +26,14 @@ class NoiseModel:
         """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
         return replace(self, additive=float(np.hypot(self.additive, self.drift)), drift=0.0)
 
+    def reshaped(self, ratio: float, readings: np.ndarray) -> NoiseModel:
+        """The noise whose floor is ``ratio`` times as large beside the share, as large as this over the ``readings`` m:
+        in the mean of the deviations' logarithms.
+        """
+        other = replace(self, additive=self.additive * ratio)
+        size = float(np.exp(np.mean(np.log(self.deviation(readings) / other.deviation(readings)))))
+        return replace(other, additive=other.additive * size, multiplicative=self.multiplicative * size)
+
     def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | None = None) -> np.ndarray:
         """(.., S, P, R) m, root mean square of the noise of each reading.
 

@@ -8,7 +8,7 @@ Legend: M members, B bearings, S speeds, U unknowns, Q parameters, Th numbers of
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -176,5 +176,8 @@ class Answer:
 
 def answer_of(measurement: Measurement, model: IdentifiedModel, uncertainty: Uncertainty | None) -> Answer:
     """The answer of a fit to ``measurement``, which is as it was stated before."""
-    updated = measurement if uncertainty is None else measurement.update(uncertainty.parameters)
-    return Answer(updated, model, uncertainty)
+    if uncertainty is None:
+        return Answer(measurement, model, uncertainty)
+    floor, share = map(float, uncertainty.noise)
+    noise = replace(measurement.noise, additive=floor, multiplicative=share)
+    return Answer(measurement.update(uncertainty.parameters).with_noise(noise), model, uncertainty)

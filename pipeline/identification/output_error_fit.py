@@ -15,9 +15,9 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
-from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model_error import MeanSquareError, measure_error, noise_alone
+from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.output_error_start import OutputErrorStart, prepare_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.selection import add_features, drop_features, weigh_by_evidence, with_sigma
@@ -142,6 +142,8 @@ def fit_from(
             continue
         before, first_order = problem, exact
         exact = exact or (turn > choice and float(problem.loss(weights)) > (1 + astray) * float(last.loss[0]))
+        if turn == choice and setup.loss.noise == "estimated" and start.searched is None:
+            problem = reshape_noise(problem, weights, factor)
         problem = reweigh(problem, weights, factor, setup.loss.robust)
         if start.searched is not None and setup.loss.noise == "estimated":
             correlation, size = estimate_correlation(problem, weights)

@@ -24,13 +24,14 @@ planes, T model parameters, Z = A K + Th + 2 N + T weights.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
+from pipeline.data.sensors import NoiseModel
 from pipeline.identification.blocks import (
     Basis,
     LawTerm,
@@ -398,6 +399,14 @@ class OutputError(LeastSquares):
     def correlated(self, correlation: float) -> OutputError:
         """The same with noise that correlates like this from speed to speed."""
         return replace(self, readings=replace(self.readings, correlation=correlation))
+
+    def with_noise(
+        self, noise: NoiseModel, predicted: Sequence[torch.Tensor], factor: np.ndarray | float = 1.0
+    ) -> Self:
+        """The same with readings of another noise, of the size that ``predicted`` ones have."""
+        measurement = self.measurement.with_noise(noise)
+        readings = replace(self.readings, measurement=measurement).follow(predicted, factor, self.readings.shares)
+        return replace(self, sensors=replace(self.sensors, measurement=measurement), readings=readings)
 
     def with_baseline(self, weights: torch.Tensor) -> OutputError:
         """The same with the machine's unbalance as the weights (1, 1, Z) make it of the baseline that was taken off."""

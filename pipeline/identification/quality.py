@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import name_direction
-from pipeline.identification.correlation import autocorrelation, measure_whiteness
 from pipeline.identification.identified import IdentifiedModel
+from pipeline.identification.noise_estimate import autocorrelation, measure_whiteness
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
 from pipeline.problem.condition_noise import NAMED
@@ -123,6 +123,8 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
             f"node {node} {name_direction(angle)}": float(f)
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
+        noise, size = fit.problem.measurement.noise, float(np.median(fit.factor))
+        summary["noise"] = {"additive_um": 1e6 * size * noise.additive, "multiplicative": size * noise.multiplicative}
     return Quality({"fit": summary}, bad, measure_inflation(summary, estimated and not repeated))
 
 
@@ -220,7 +222,8 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None
     None where the coefficients leave all bounds there: functions that speeds do not hold may do anything.
     """
     other = other.update(fit.weights)
-    measurement, read = other.measurement, other.displacement(fit.weights)
+    measurement = other.measurement.with_noise(fit.problem.measurement.noise)
+    read = other.displacement(fit.weights)
     data = measurement.dataset
     with np.errstate(over="ignore", invalid="ignore"):
         noise = measurement.deviation_of(read, measurement.baseline, fit.factor)

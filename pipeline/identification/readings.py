@@ -115,10 +115,15 @@ class Readings:
         return tuple(every)
 
     def log_determinant(self) -> float:
-        """That of the covariance which :attr:`correlation` gives both parts of all readings; zero without any."""
-        present = [self.present(b)[:, 0] for b in range(len(self.runs))]
-        logs = [(here * (1 - ties.square()).log()).sum() for here, (_, ties) in zip(present, self._ties, strict=True)]
-        return 2.0 * len(self.measurement.dataset.channels) * float(sum(logs))
+        """That of the covariance of both parts of all readings (of one data set), where noise is by reading."""
+        total, n_channels = 0.0, len(self.measurement.dataset.channels)
+        for b, (_, ties) in enumerate(self._ties):
+            here, precision = self.present(b), self.precision[b][0]
+            total += 2 * n_channels * float((here[:, 0] * (1 - ties.square()).log()).sum())
+            total -= 4 * float(precision[here.expand_as(precision) > 0].log().sum())
+            if self.common:
+                total += 2 * float((1 + self.common[b][0].square().sum(-1)).log().sum())
+        return total
 
     # --- other precisions --------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.blocks import Prior
-from pipeline.identification.correlation import estimate_correlation
+from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.optimizers import LeastSquares, levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.impedance import list_places
@@ -187,6 +187,7 @@ class Searched:
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
     problem: OutputError  # without a prior of functions, at the noise as it is stated
+    precision: float  # of the readings, over that: as much as the best leaves
 
     def mix(self, covariance: np.ndarray, beyond: float = 0.05, reach: float = 0.5) -> np.ndarray:
         """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by.
@@ -208,12 +209,14 @@ def search(
     most_exact: float = 10.0,
     small: float = 0.05,
     coarse: float = 0.5,
+    again: bool = True,
 ) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
     stated one at least. Directions of the priors whose deviation is ``small`` are left out at first, and so are
     tolerances of runs; where that leaves the readings farther off than noise over ``coarse``, no choice stays dropped.
 
-    Where the best leaves deviations that wander over the speed, the search is repeated with noise that does.
+    Where the best leaves deviations that wander over the speed, or whose floor beside their share is another than the
+    stated one, the search is repeated (``again``) with such a noise.
     """
     import torch
 
@@ -231,15 +234,18 @@ def search(
     if explained < coarse:  # the simpler problem could not tell which choices to drop
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
     problem, whitened, y, evidence = look_beside(problem, whitened, choices, y, kept, most_exact)
-    if not problem.readings.tied:
-        best = replace(whitened.problem, functions=whitened.choices.functions())
-        correlation, _ = estimate_correlation(best, whitened.weights(y)[:1])
-        if correlation > 0:
-            return search(stated.correlated(correlation), choices, seed, kept, most_exact, small)
-    shares = (evidence - evidence[0]).exp()
+    precision = min(_noise(replace(whitened, problem=problem), y), most_exact)
+    if again:
+        best, at = replace(whitened.problem, functions=whitened.choices.functions()), whitened.weights(y)[:1]
+        best = reshape_noise(best, at)
+        noise, (correlation, _) = best.measurement.noise, estimate_correlation(best, at)
+        if correlation > 0 or noise != problem.measurement.noise:
+            changed = stated.with_noise(noise, stated.readings.measured).correlated(correlation)
+            return search(changed, choices, seed, kept, most_exact, small, coarse, again=False)
+    shares = np.asarray((evidence - evidence[0]).exp())
     root = whitened.carry(torch.eye(problem.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
     covariance = root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ root.mT
-    return Searched(whitened.choices, whitened.weights(y), covariance, np.asarray(shares / shares.sum()), problem)
+    return Searched(whitened.choices, whitened.weights(y), covariance, shares / shares.sum(), problem, precision)
 
 
 def _settle(

@@ -53,6 +53,7 @@ class Uncertainty:
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
     as_found: np.ndarray  # complex, kg m at each node, what the baseline shows; empty where no bearing drifts
+    noise: np.ndarray  # (2,) floor of a reading, m, and share of it, before a channel's factor
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
@@ -173,11 +174,13 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     return _state(problem, fit.weights, error.matrix + unfitted.covariance(), error.n_local, unfitted)
 
 
-def expect_uncertainty(start: OutputErrorStart) -> Uncertainty:
+def expect_uncertainty(start: OutputErrorStart, precision: float) -> Uncertainty:
     """That of the fit that will be made, at its linear start: of noise, of tolerances as if they were fitted, and of
     the kinds of bearings that are likely. The fit drops superfluous functions, so it may know more.
+
+    ``precision`` is that of the readings over what their stated noise gives them.
     """
-    problem, weights = widen(start.problem, start.weights[:1])
+    problem, weights = widen(start.problem.scaled(precision), start.weights[:1])
     covariance = problem.covariance(weights)[0]
     covariance = start.searched.mix(covariance) if start.searched else covariance
     return _state(problem, weights, covariance, 0, none_unfitted(len(covariance)))
@@ -195,6 +198,7 @@ def _state(
         np.asarray(problem.unbalance(weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         np.array(problem.measurement.as_found, dtype=complex),
+        np.array([problem.measurement.noise.additive, problem.measurement.noise.multiplicative]),
         problem.plane_scale,
         problem.model_parameters(weights)[0].numpy(),
         n_local,
@@ -219,6 +223,7 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
             "residual_unbalance": np.stack([uncertainty.residual_unbalance.real, uncertainty.residual_unbalance.imag]),
             "planes": uncertainty.planes,
             "as_found": np.stack([uncertainty.as_found.real, uncertainty.as_found.imag]),
+            "noise": uncertainty.noise,
             "plane_scale": np.array([uncertainty.plane_scale]),
             "parameters": uncertainty.parameters,
             "n_local": np.array([uncertainty.n_local]),
@@ -251,6 +256,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             unbalance,
             parts["planes"],
             parts["as_found"][0] + 1j * parts["as_found"][1],
+            parts["noise"],
             float(parts["plane_scale"][0]),
             parts["parameters"],
             int(parts["n_local"][0]),

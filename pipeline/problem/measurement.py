@@ -251,6 +251,10 @@ class Measurement:
         """The same where the baseline shows this unbalance of the machine, which leaves the response of the runs."""
         return replace(self, as_found=unbalance, solved=vars(self).get("response"))
 
+    def with_noise(self, noise: NoiseModel) -> Measurement:
+        """The same with readings of another noise."""
+        return self if noise == self.noise else replace(self, noise=noise, solved=vars(self).get("response"))
+
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from pipeline.identification.correlation import autocorrelation, measure_whiteness
+from pipeline.identification.noise_estimate import autocorrelation, measure_whiteness
 from pipeline.identification.quality import _held_out, mismatch
 from pipeline.trust.misfit import measure_misfit
 
@@ -108,12 +108,11 @@ def test_repeats_judge_the_size_of_what_is_left_over() -> None:
 def held_out(predicted: complex) -> Any:
     """Two readings of 1 that were not fitted, with a noise of a tenth of what is predicted."""
     data = SimpleNamespace(n_readings=2, displacement=np.ones((2, 1, 1)), present=np.ones((2, 1)))
-    problem = SimpleNamespace(
-        displacement=lambda weights: np.full((2, 1, 1), predicted),
-        measurement=SimpleNamespace(
-            dataset=data, baseline=0.0, deviation_of=lambda read, baseline, factor: 0.1 * np.abs(read)
-        ),
+    measurement = SimpleNamespace(
+        dataset=data, noise=None, baseline=0.0, deviation_of=lambda read, baseline, factor: 0.1 * np.abs(read)
     )
+    measurement.with_noise = lambda noise: measurement
+    problem = SimpleNamespace(displacement=lambda weights: np.full((2, 1, 1), predicted), measurement=measurement)
     problem.update = lambda weights: problem
     return problem
 
@@ -121,6 +120,6 @@ def held_out(predicted: complex) -> Any:
 @pytest.mark.parametrize("far", [complex("inf"), complex("nan"), 1e200 + 0j])
 def test_a_prediction_beyond_all_bounds_is_null_in_json(far: complex) -> None:
     """A range that was held out, where coefficients are exponentials of functions that nothing holds there."""
-    fit: Any = SimpleNamespace(weights=None, factor=np.ones(1))
+    fit: Any = SimpleNamespace(weights=None, factor=np.ones(1), problem=held_out(far))
     assert json.loads(json.dumps(_held_out(fit, held_out(far)), allow_nan=False))["error_percent"] is None
     assert _held_out(fit, held_out(1.1 + 0j))["error_percent"] == pytest.approx(10.0)

@@ -15,10 +15,11 @@ from scipy.interpolate import CubicSpline
 from training import dense_jacobian
 
 from pipeline.config.compose import compose_config
+from pipeline.data.sensors import NoiseModel
 from pipeline.identification.answer import conclude, restore
 from pipeline.identification.blocks import no_prior
-from pipeline.identification.correlation import estimate_correlation
 from pipeline.identification.fit import fit_sensors
+from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.output_error_start import nodes_basis
 from pipeline.identification.problem import output_error
@@ -221,7 +222,8 @@ def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rn
     off, mixed = (each.deviations(at_nodes.weights)[0][0].numpy() for each in (plain, problem))
     square = np.einsum("spr,st,tpr->", off.conj(), np.linalg.inv(covariance), off).real
     assert (np.abs(mixed) ** 2).sum() == pytest.approx(square)
-    assert problem.readings.log_determinant() == pytest.approx(2 * off[0].size * np.linalg.slogdet(covariance)[1])
+    determinant = problem.readings.log_determinant() - plain.readings.log_determinant()
+    assert determinant == pytest.approx(2 * off[0].size * np.linalg.slogdet(covariance)[1])
     jacobian = dense_jacobian(problem, at_nodes.weights)
     np.testing.assert_allclose(problem.normal(at_nodes.weights)[1][0, 0], jacobian.mT @ jacobian, rtol=1e-9, atol=1e-6)
     white = (rng.standard_normal((2, *off.shape)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0)
@@ -232,6 +234,26 @@ def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rn
         correlation, size = estimate_correlation(again, at_nodes.weights)
         assert least <= correlation <= most
         assert size == pytest.approx(1.3 if correlation else 1.0, rel=0.25)
+
+
+def test_the_floor_of_noise_is_found_beside_its_share(at_nodes: OutputErrorFit, rng: np.random.Generator) -> None:
+    """The determinant is that of the whole covariance of readings that share a baseline's noise. Noise whose floor is
+    drawn a hundred times as large beside the share is told from the stated one; noise as stated stays.
+    """
+    problem, weights = at_nodes.problem, at_nodes.weights
+    stated, readings = problem.measurement.noise, problem.readings
+    each = np.sqrt(2) / readings.precision[0][0].numpy()  # (S, P, R)
+    both = (readings.common[0][0].numpy() * each)[..., None]
+    covariance = (np.eye(each.shape[-1]) * each[..., None] ** 2 + both * both.swapaxes(-1, -2)) / 2
+    assert readings.log_determinant() == pytest.approx(2 * np.linalg.slogdet(covariance)[1].sum())
+    white = (rng.standard_normal((2, *each.shape)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0) / np.sqrt(2)
+    (predicted,) = problem.predicted(weights)
+    for drawn, least in ((stated, 1.0), (NoiseModel(5e-7, 1e-3), 10.0)):
+        noisy = predicted + torch.as_tensor(drawn.deviation(predicted[0].numpy()) * white)
+        again = replace(problem, readings=replace(readings, measured=(noisy,), common=()))
+        found = reshape_noise(again, weights).measurement.noise
+        ratio = found.additive / found.multiplicative / (stated.additive / stated.multiplicative)
+        assert ratio == 1.0 if drawn == stated else ratio >= least
 
 
 def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorFit) -> None:

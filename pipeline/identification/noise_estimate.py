@@ -1,9 +1,10 @@
-"""How a reading's noise correlates with that at the next speed: by the restricted likelihood of what a fit leaves over.
+"""What the readings' noise is like, by what a fit leaves over: its floor beside its share of the reading, and how it
+correlates with that at the next speed.
 
 A fit follows noise that wanders slowly, so what it leaves over wanders less than the noise itself. The restricted
 likelihood (Patterson and Thompson 1971) counts what the fit took: its Laplace form is of first order about an answer.
 
-Legend: Z weights.
+Legend: Z weights, S speeds, P channels, R runs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,39 @@ from pipeline.identification.problem import OutputError
 
 if TYPE_CHECKING:
     import torch
+
+
+def reshape_noise(
+    problem: OutputError,
+    weights: torch.Tensor,
+    factor: np.ndarray | float = 1.0,
+    *,
+    tried: Sequence[float] = (1.0, 0.01, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0, 100.0),
+    sure: float = 6.0,
+    small: float = 0.25,
+) -> OutputError:
+    """The problem with the noise whose floor beside its share is likeliest, about the weights (1, 1, Z): so many times
+    as large as stated (``tried``, what is stated first).
+
+    ``factor`` (P,) is each channel's noise over the stated one. The noise stays as it is where twice the logarithm of
+    the likelihood gains less than ``sure``, where what is left over is ``small`` beside it, and where floor or share is
+    none.
+    """
+    measurement = problem.measurement
+    noise, data = measurement.noise, measurement.dataset
+    if measurement.drift or not noise.additive or not noise.multiplicative or _leave_over(problem, weights)[1] < small:
+        return problem
+    predicted, read = (
+        problem.predicted(weights),
+        (data.displacement + measurement.baseline).swapaxes(1, 2)[data.present],
+    )
+    others = [problem.with_noise(noise.reshaped(ratio, read), predicted, factor) for ratio in tried]
+    criteria = []
+    for other in others:
+        columns = other.correlated(0.0).columns_of_blocks(weights)
+        criteria.append(_measure(other, weights, columns, other.fitted())[0])
+    best = int(np.argmin(criteria))
+    return others[best] if criteria[0] - criteria[best] >= sure else problem
 
 
 def estimate_correlation(
@@ -36,8 +70,7 @@ def estimate_correlation(
     ``small`` beside the noise (mean square), as in data without any, whose rest is what functions can't follow.
     """
     plain = problem.correlated(0.0)
-    off = [block[0].numpy() for block in plain.deviations(weights)]
-    square = sum((np.abs(block) ** 2).sum() for block in off) / plain.readings.size
+    off, square = _leave_over(plain, weights)
     if autocorrelation(off)[1] < seen or square < small:
         return 0.0, 1.0
     blocks, fitted = plain.columns_of_blocks(weights), plain.fitted()
@@ -46,6 +79,12 @@ def estimate_correlation(
     if measured[0][0] - measured[best][0] < sure:
         return 0.0, 1.0
     return tried[best], measured[best][1]
+
+
+def _leave_over(problem: OutputError, weights: torch.Tensor) -> tuple[list[np.ndarray], float]:
+    """Complex deviations (S, P, R) of each block over the noise, and their mean square."""
+    off = [block[0].numpy() for block in problem.deviations(weights)]
+    return off, sum(float((np.abs(block) ** 2).sum()) for block in off) / problem.readings.size
 
 
 def _measure(
