@@ -128,8 +128,8 @@ def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
     drift, runs = "inconsistent_runs" in fit, ", ".join(fit.get("inconsistent_runs", ()))
     levels = "noise and what the model may be off by" if drift else "noise"
     if "noise" in fit:
-        floor, share = (write_number(fit["noise"][name], digits=2) for name in ("additive_um", "multiplicative"))
-        levels += f" ({floor} um and {share} of a reading)"
+        floor, share = fit["noise"]["additive_um"], 100 * fit["noise"]["multiplicative"]
+        levels += f" ({write_number(floor, digits=2)} um and {write_number(share, digits=2)} % of a reading)"
     return {
         "distance": f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",

@@ -42,6 +42,8 @@ CASES: dict[str, tuple[str, float, str]] = {
     "one_percent": ("0.05 um", 0.01, "none"),
     "two_percent": ("0.05 um", 0.02, "none"),
     "four_percent": ("0.2 um", 0.04, "none"),
+    "floor_alone": ("0.5 um", 0.001, "none"),
+    "share_alone": ("0.002 um", 0.03, "none"),
     **{trouble: ("0.05 um", 0.01, trouble) for trouble in TROUBLE if trouble != "none"},
 }
 """Name -> the floor of a reading, its share, and what is silently wrong."""
