@@ -32,14 +32,17 @@ _SCALES = "7.87 V/mm, 200 mV/mil, 4 mV/(mm/s) or 100 mV/g"
 
 def find_motion(unit: str) -> tuple[int, float] | None:
     """Order and size (m, m/s, m/s^2) of a unit such as um, mm/s or g; None where it is none of these."""
-    return _find_order(f"1 {_spell(unit)}", _SI)
+    return _find_order(f"1 {unit}", _SI)
 
 
 def _find_order(quantity: str, units: Sequence[str]) -> tuple[int, float] | None:
-    """Order and size of a quantity that has one of the ``units``, which are by the order."""
+    """Order and size of a quantity that has one of the ``units``, which are by the order; g is not the gram here."""
+    # As pint would have it.
+    spelt = re.sub(r"\bips\b", "(inch/s)", re.sub(r"\bg\b", "g_0", quantity.replace("²", "**2")))
+    spelt = re.sub(r"/ ?(s|sec)2\b", r"/s**2", spelt)
     for order, unit in enumerate(units):
         with contextlib.suppress(ValueError):
-            return order, to_si(quantity, unit, unit)
+            return order, to_si(spelt, unit, unit)
     return None
 
 
@@ -62,15 +65,9 @@ def to_motion(unit: str, scale: str | None) -> tuple[int, float]:
 
 def _find_sensitivity(scale: str) -> tuple[int, float]:
     """Order, and V s^k/m. Raises ValueError."""
-    if sensitivity := _find_order(_spell(scale), [f"V / ({unit})" for unit in _SI]):
+    if sensitivity := _find_order(scale, [f"V / ({unit})" for unit in _SI]):
         return sensitivity
     raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
-
-
-def _spell(text: str) -> str:
-    """As pint would have it: g is not the gram here."""
-    text = re.sub(r"\bips\b", "(inch/s)", re.sub(r"\bg\b", "g_0", text.replace("²", "**2")))
-    return re.sub(r"/ ?(s|sec)2\b", r"/s**2", text)
 
 
 def _check_scale(value: Any) -> str:

@@ -93,18 +93,17 @@ class VibrationDataset:
             digest.update(name.encode() + np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()[:16]
 
-    def at(self, speeds: np.ndarray) -> VibrationDataset:
-        """The same at the points ``speeds`` (indices)."""
-        return self._select(speeds, slice(None))
-
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
         acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
         repeated = tuple(self.conditions[r] for r in runs) if self.conditions else None
-        return self._select(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
+        return self.at(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
 
-    def _select(self, speeds: np.ndarray | slice, where: np.ndarray | slice, **beside: Any) -> VibrationDataset:
+    def at(
+        self, speeds: np.ndarray | slice, where: np.ndarray | slice = slice(None), **beside: Any
+    ) -> VibrationDataset:
+        """The same at the points ``speeds`` (indices); of runs :meth:`of_runs`."""
         own, subtracted = self.own_frequencies, self.subtracted
         return replace(
             self,

@@ -79,7 +79,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         for name, bias in sweeps.items()
         if abs(bias.peak_shift) > bias.most
     ]
-    wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM if config.speeds else None
+    wanted = config.speeds.rad_s() if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve(config.probes, vectors)
     _check_size(displacement, runs)

@@ -85,8 +85,11 @@ def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, 
     return mean, vectors
 
 
-def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig, other_degree: int = 2) -> np.ndarray:
-    """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first.
+def fit_sweep(
+    signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfig, other_degree: int = 2
+) -> tuple[np.ndarray, np.ndarray]:
+    """1X vectors (S, P) of a run-up or run-down at ``speeds`` (S,) rad/s, each where it is passed first; and when,
+    (S,) s.
 
     ``other_degree`` is that of the polynomials beside 1X at most.
 
@@ -102,7 +105,7 @@ def fit_sweep(signals: Signals, speeds: np.ndarray, settings: OrderTrackingConfi
     for centre, speed in zip(centres, speeds, strict=True):
         halves = _list_windows(signals, float(centre), float(speed), settings)
         fits.append(_choose(_fit_each(signals, turning, float(centre), halves, degrees)))
-    return np.array(fits)
+    return np.array(fits), centres
 
 
 def find_range(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from pipeline.config.section import rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
-from pipeline.ingest.order_tracking import Signals, find_passages, find_range, fit_steady, fit_sweep
+from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import read_recording
 from pipeline.ingest.table import note_cut
@@ -250,8 +250,9 @@ def _fit_records(
 def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, slow_windows: int = 10) -> RunTracks:
     """Fit vectors at the wanted speeds, and at so many low ones for the slow roll."""
     assert config.speeds  # the schema has seen to it
-    wanted = np.array(config.speeds.rpm()) * RAD_S_PER_RPM
-    tracks = _make_tracks(config, wanted, fit_sweep(record, wanted, config.tracking), record.where)
+    wanted = config.speeds.rad_s()
+    vectors, times = fit_sweep(record, wanted, config.tracking)
+    tracks = _make_tracks(config, wanted, vectors, record.where)
     slow: dict[str, Track] = {}
     if config.slow_roll and config.slow_roll.below_rpm:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
@@ -263,8 +264,7 @@ def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, sl
                 "or slow_roll.vectors"
             )
         below = np.linspace(lowest, limit, slow_windows, endpoint=False)
-        slow = _make_tracks(config, below, fit_sweep(record, below, config.tracking), record.where)
-    times = find_passages(record.between_pulses(), np.sort(wanted), config.tracking)
+        slow = _make_tracks(config, below, fit_sweep(record, below, config.tracking)[0], record.where)
     return RunTracks(name, source, tracks, slow, record.notes, times)
 
 

@@ -233,8 +233,10 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
 
 def print_laws(config: Config, quality: Mapping[str, Any]) -> None:
     """A row a number, and what speaks for and against the laws; nothing of a fit without bearing laws."""
-    caption = f"{config.name}: numbers of the bearing laws (+- standard deviation)"
-    table(*tabulate_numbers(caption, list_numbers(quality.get("physical_numbers", {}), config)))
+    if "physical_numbers" not in quality:
+        return
+    numbers = list_numbers(quality["physical_numbers"], config)
+    table(*tabulate_numbers(f"{config.name}: numbers of the bearing laws (+- standard deviation)", numbers))
     for sentence in describe_law(quality, config.model.kind):
         say(f"{config.name}: {sentence}")
 

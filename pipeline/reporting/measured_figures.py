@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import name_state
+from pipeline.data.operating import describe_point
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLACK,
@@ -76,9 +76,8 @@ def list_traces(dataset: VibrationDataset, looks: Mapping[int, dict[str, Any]]) 
 
 def name_point(dataset: VibrationDataset, point: int) -> str:
     """Its speed, and its conditions where there are any, such as ``3000 rpm, 45 degC``."""
-    state = name_state({name: values[point] for name, values in dataset.operating.items()})
-    speed = f"{write_number(float(to_rpm(dataset.speeds)[point]), digits=5)} rpm"
-    return f"{speed}, {state}" if state else speed
+    rpm = write_number(float(to_rpm(dataset.speeds)[point]), digits=5)
+    return f"{rpm} rpm{describe_point(dataset.operating, point, ', ')}"
 
 
 def draw_bode_panels(speeds: np.ndarray, probes: Mapping[str, np.ndarray], traces: Sequence[Trace]) -> list[Panel]:

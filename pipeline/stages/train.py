@@ -44,7 +44,10 @@ def run(analysis: Analysis) -> StageRecord:
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
     after = _deviations(analysis, answer)
     determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
-    summary = _summarize(fitted) | {"determined": determined}
+    # A loss that overflowed is no JSON number.
+    held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
+    summary: dict[str, Any] = {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
+    summary["determined"] = determined
     files = _write(analysis, fitted, answer, summary)
     _report(analysis, fitted, summary)
     say(f"{config.name}: {describe_verdicts(summary)}")
@@ -67,12 +70,6 @@ def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
         return replace(expected, of=f"at {stated}, {expected.of}")
     noise = "the noise that was found" if analysis.config.loss.noise == "estimated" else stated
     return Deviations(answer.table, values, f"by this fit at {noise}")
-
-
-def _summarize(fitted: Fit) -> dict[str, Any]:
-    # A loss that overflowed is no JSON number.
-    held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
-    return {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
 
 
 def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str, object]) -> list[Path]:

@@ -88,7 +88,7 @@ def errors(
 
 def tracked(shaft: Shaft, signals: Signals, rpm: np.ndarray, settings: Settings | None = None) -> np.ndarray:
     """1X vectors at ``rpm``."""
-    return fit_sweep(signals, rpm * RPM, settings or Settings())
+    return fit_sweep(signals, rpm * RPM, settings or Settings())[0]
 
 
 @pytest.mark.parametrize("rpm", [437.0, 1503.0, 1997.0, 5981.0])
@@ -195,7 +195,7 @@ def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     values = np.real(true * np.exp(1j * phi))[:, None] + 1e-7 * rng.standard_normal((len(t), 1))
     angle = fit_angle(find_pulses(t, tacho, "rising", None, None, "x")[0], 1, "x")
     wanted = np.array([1000.0, 1499.0, 1501.0, 1900.0]) * RPM
-    found = fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[:, 0]
+    found = fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[0][:, 0]
     errors(found, np.full(4, true), percent=0.15, degrees=0.05)
 
 
