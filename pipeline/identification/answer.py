@@ -95,10 +95,9 @@ def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Physic
 
 def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[FittedParameter, ...]:
     """T, each with its posterior."""
-    every = zip(
-        fit.problem.measurement.parameters, uncertainty.parameters, uncertainty.parameter_deviation(), strict=True
-    )
-    return tuple(FittedParameter(parameter, float(value), float(spread)) for parameter, value, spread in every)
+    spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.parameters])
+    every = zip(fit.problem.measurement.parameters, uncertainty.parameters, spread, strict=True)
+    return tuple(FittedParameter(parameter, float(value), float(after)) for parameter, value, after in every)
 
 
 def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from pipeline.identification.blocks import (
     Places,
     Prior,
     law_term,
+    lay_out,
     no_prior,
     select_active,
     slopes_by_weights,
@@ -94,12 +95,12 @@ class OutputError(LeastSquares):
     def places(self) -> Places:
         """Where each block lies among the weights."""
         n_planes, n_parameters = len(self.measurement.unknowns.planes), len(self.measurement.parameters)
-        return Places(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
+        return lay_out(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
 
     @property
     def size(self) -> int:
         """Z."""
-        return self.places.size
+        return self.places.parameters.stop
 
     @property
     def n_fitted(self) -> int:
