@@ -22,8 +22,8 @@ from pipeline.config.quantities import (
     ShaftAngle,
     WeightMagnitude,
 )
-from pipeline.config.runs import ForceConfig, Measures, SpeedsConfig, UnbalanceConfig
-from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, UnbalanceConfig
+from pipeline.config.section import Section, rule
 
 if TYPE_CHECKING:
     import numpy as np
@@ -82,7 +82,7 @@ class ConventionsConfig(VectorConventionsConfig):
     phase_unit: Literal["deg", "rad"]
 
 
-class ProbeConfig(Section):
+class MeasuredProbeConfig(ProbeConfig):
     """A probe: its node of the rotor, and its angle from x towards y, which is the sense of rotation.
 
     ``scale`` is its sensitivity, where numbers are voltages. ``mounted`` is what moves the probe of a velocity or an
@@ -90,9 +90,7 @@ class ProbeConfig(Section):
     bearing that has a support, whose casing moves.
     """
 
-    node: NonNegativeInt
     angle: ShaftAngle
-    measures: Measures = "shaft"
     scale: Sensitivity | None = None
     mounted: Literal["shaft", "casing"] | None = None
 
@@ -208,7 +206,7 @@ class AnyRecordingsConfig(Section):
             """Its angle, and its pulses."""
 
         @property
-        def probes(self) -> Mapping[str, ProbeConfig]:
+        def probes(self) -> Mapping[str, MeasuredProbeConfig]:
             """By name."""
 
         @property
@@ -252,7 +250,7 @@ class NoRecordingsConfig(AnyRecordingsConfig):
     speeds: ClassVar[None] = None
     shaft_angle: ClassVar[None] = None
     tacho: ClassVar[TachoAngleConfig] = TachoAngleConfig()
-    probes: ClassVar[Mapping[str, ProbeConfig]] = {}
+    probes: ClassVar[Mapping[str, MeasuredProbeConfig]] = {}
     runs: ClassVar[tuple[MeasuredRunConfig, ...]] = ()
 
 

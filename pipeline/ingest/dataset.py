@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, ProbeConfig, SlowRollConfig
+from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, NoRecordingsConfig, SlowRollConfig
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
@@ -176,7 +176,7 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
 
 
 def resolve(
-    probes: Mapping[str, ProbeConfig], vectors: np.ndarray, least_spread: float = np.radians(10.0)
+    probes: Mapping[str, MeasuredProbeConfig], vectors: np.ndarray, least_spread: float = np.radians(10.0)
 ) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
     """What the probes tell of every node, of their ``vectors`` (S, P, R) in this order.
 

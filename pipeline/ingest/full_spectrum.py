@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.config.measured import ProbeConfig
+from pipeline.config.measured import MeasuredProbeConfig
 from pipeline.ingest.order_tracking import Signals
 
 
@@ -26,7 +26,7 @@ class FullSpectra:
 
 def measure_full_spectra(
     records: Sequence[Signals],
-    probes: Mapping[str, ProbeConfig],
+    probes: Mapping[str, MeasuredProbeConfig],
     node: int,
     part_turns: int = 32,
     per_turn: int = 32,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.measured import ProbeConfig
+from pipeline.config.measured import MeasuredProbeConfig
 from pipeline.config.quantities import middle
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.simulate import solve_response
@@ -139,7 +139,7 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float 
     return notes
 
 
-def note_casing(probes: Mapping[str, ProbeConfig], nodes: Sequence[int], n_nodes: int) -> list[str]:
+def note_casing(probes: Mapping[str, MeasuredProbeConfig], nodes: Sequence[int], n_nodes: int) -> list[str]:
     """A sentence for the probes on a casing that is none of the model's, which follow the shaft's ``n_nodes``.
 
     Raises ConfigError for one that is at none of the bearing ``nodes``.

@@ -15,8 +15,8 @@ from pydantic import BeforeValidator, Field
 
 from pipeline.config.measured import (
     MeasuredConfig,
+    MeasuredProbeConfig,
     MeasuredRunConfig,
-    ProbeConfig,
     TachoAngleConfig,
     Text,
     VectorConventionsConfig,
@@ -39,7 +39,7 @@ class ComplexColumnsConfig(Section):
     imaginary: Text
 
 
-class RecordProbeConfig(ProbeConfig):
+class RecordProbeConfig(MeasuredProbeConfig):
     """A probe with its columns."""
 
     columns: ComplexColumnsConfig

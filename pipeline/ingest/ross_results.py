@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig, ProbeConfig, TachoAngleConfig
+from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, MeasuredRunConfig, TachoAngleConfig
 from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
 from pipeline.data.mat_files import open_measured
@@ -32,7 +32,7 @@ class RossRecordingsConfig(MeasuredConfig):
 
     format: Literal["ross"]
     tacho: TachoAngleConfig = TachoAngleConfig()
-    probes: dict[str, ProbeConfig] = Field(min_length=1)
+    probes: dict[str, MeasuredProbeConfig] = Field(min_length=1)
     runs: tuple[MeasuredRunConfig, ...] = Field(min_length=1)
 
     @rule

@@ -17,8 +17,8 @@ from pydantic import Field, PositiveFloat
 from pipeline.config.measured import (
     ConventionsConfig,
     MeasuredConfig,
+    MeasuredProbeConfig,
     MeasuredRunConfig,
-    ProbeConfig,
     TachoAngleConfig,
     Text,
 )
@@ -52,7 +52,7 @@ class ColumnPairConfig(Section):
     phase: Text
 
 
-class TableProbeConfig(ProbeConfig):
+class TableProbeConfig(MeasuredProbeConfig):
     """A probe with its columns (wide layout), or with the text that stands for it in the probe column (long)."""
 
     columns: ColumnPairConfig | None = None

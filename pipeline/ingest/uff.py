@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredRunConfig, ProbeConfig, Text, VectorConventionsConfig
+from pipeline.config.measured import MeasuredProbeConfig, MeasuredRunConfig, Text, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
 from pipeline.config.section import Section, rule
 from pipeline.data.mat_files import open_measured
@@ -39,7 +39,7 @@ class UffRecordConfig(Section):
     response: tuple[int, int] | None = None
 
 
-class UffProbeConfig(ProbeConfig, UffRecordConfig):
+class UffProbeConfig(MeasuredProbeConfig, UffRecordConfig):
     """A probe with its record."""
 
     @rule

@@ -13,9 +13,9 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.measured import (
     MeasuredConfig,
+    MeasuredProbeConfig,
     MeasuredRunConfig,
     OrderTrackingConfig,
-    ProbeConfig,
     TachoAngleConfig,
     Text,
 )
@@ -160,7 +160,7 @@ class TachoConfig(TachoSignalConfig):
             )
 
 
-class WaveformProbeConfig(ProbeConfig):
+class WaveformProbeConfig(MeasuredProbeConfig):
     """``channel``: a CSV column, an HDF5 path or TDMS ``group/channel``."""
 
     channel: Text

@@ -28,8 +28,8 @@ from pipeline.rotor.bearings import BearingConfig
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, Seals
 
 if TYPE_CHECKING:
-    from pipeline.config import runs
-    from pipeline.config.measured import AnyRecordingsConfig, ProbeConfig
+    from pipeline.config.measured import AnyRecordingsConfig
+    from pipeline.config.runs import ProbeConfig
 
 Recordings = TypeVar("Recordings", bound="AnyRecordingsConfig")
 KIND = "rotors"
@@ -177,7 +177,7 @@ def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
             raise ConfigError(f"{key} must use nodes 0 to {last - 1} of the rotor, but got node {node}")
 
 
-def place_probe(rotor: RotorModel, key: str, probe: ProbeConfig | runs.ProbeConfig) -> int:
+def place_probe(rotor: RotorModel, key: str, probe: ProbeConfig) -> int:
     """The node that a probe of the configuration has in the data, see :meth:`pipeline.rotor.model.RotorModel.views`.
 
     Raises ConfigError for a node that the rotor lacks, and for a casing where the bearing stands on the ground.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import assert_says
 
-from pipeline.config.measured import ProbeConfig
+from pipeline.config.measured import MeasuredProbeConfig
 from pipeline.ingest.full_spectrum import measure_full_spectra
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.tacho import fit_angle
@@ -233,7 +233,10 @@ def test_a_circle_is_one_line_of_the_full_spectrum(sense: int) -> None:
     hertz = 40.0
     turn = np.exp(2j * np.pi * sense * hertz * time)
     x, y = 3e-6 * turn.real + 5e-6, 3e-6 * turn.imag - 2e-6
-    probes = {"left": ProbeConfig(node=1, angle="135 deg"), "right": ProbeConfig(node=1, angle="45 deg")}
+    probes = {
+        "left": MeasuredProbeConfig(node=1, angle="135 deg"),
+        "right": MeasuredProbeConfig(node=1, angle="45 deg"),
+    }
     seen = np.stack([x * np.cos(p.angle) + y * np.sin(p.angle) for p in probes.values()], axis=1)
     angle = fit_angle(np.arange(0.0, 3.99, 1 / hertz), 1, "here")
     found = measure_full_spectra([Signals(time, seen, angle, "here")], probes, 1)
