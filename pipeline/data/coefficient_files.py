@@ -19,7 +19,6 @@ from pipeline.data.operating import (
     describe_point,
     list_columns,
     read_with_conditions,
-    require_complete,
 )
 from pipeline.data.tables import Columns, write_table
 from pipeline.data.vibration_files import to_rpm
@@ -118,7 +117,6 @@ def _read_states(
     Raises DataError for conditions that the data lack, for some that the table alone lacks, and for blanks.
     """
     table, states = read_with_conditions(path, kinds, optional)
-    require_complete(states, path, table)
     strange = [name for name in states if name not in operating]
     if strange:
         raise DataError(

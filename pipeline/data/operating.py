@@ -13,9 +13,8 @@ import numpy as np
 
 from pipeline.config.operating import ConditionColumn, column_of, find_columns
 from pipeline.config.quantities import from_base
-from pipeline.data.csv_format import CsvConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.tables import PLAIN, Columns, read_table
+from pipeline.data.tables import Columns, read_table
 from pipeline.errors import DataError
 
 _SHOWN = {"Pa": ("bar", "bar"), "percent": ("percent", "%")}
@@ -91,23 +90,23 @@ Operating = Mapping[str, np.ndarray]
 
 
 def read_with_conditions(
-    path: Path, columns: Mapping[str, str], optional: Mapping[str, str] | None = None, text: CsvConfig = PLAIN
+    path: Path, columns: Mapping[str, str], optional: Mapping[str, str]
 ) -> tuple[Columns, dict[str, np.ndarray]]:
-    """A table as :func:`pipeline.data.tables.read_table`, and its operating conditions (n,), SI; NaN where it is blank.
+    """A table as :func:`pipeline.data.tables.read_table`, and its operating conditions (n,), SI.
 
-    Raises DataError also for a condition without a unit, with one of another dimension, or below absolute zero.
+    Raises DataError also for a condition without a unit, with one of another dimension, below absolute zero, or blank
+    in some rows.
     """
-    declared = dict(columns) | dict(optional or {})
     conditions: dict[str, ConditionColumn] = {}
 
     def list_further(names: list[str]) -> dict[str, str]:
         try:
-            conditions.update(find_columns(names, tuple(declared)))
+            conditions.update(find_columns(names, (*columns, *optional)))
         except ValueError as error:
             raise DataError(f"'{path}' {error}") from None
-        return dict(optional or {}) | {condition.column: "number or blank" for condition in conditions.values()}
+        return dict(optional) | {condition.column: "number or blank" for condition in conditions.values()}
 
-    table = read_table(path, columns, list_further, text)
+    table = read_table(path, columns, list_further)
     operating = {name: condition.to_si(table.pop(condition.column)) for name, condition in conditions.items()}
     for name, condition in conditions.items():
         cold = np.flatnonzero(operating[name] <= 0)
@@ -116,11 +115,6 @@ def read_with_conditions(
                 f"'{path}' must have temperatures above absolute zero in the column '{condition.column}', but row "
                 f"{cold[0] + 1} has {condition.from_si(operating[name][cold[:1]])[0]:g}"
             )
-    return table, operating
-
-
-def require_complete(operating: Operating, path: Path, table: Columns) -> None:
-    """Raise DataError for a condition (n,) that is blank in some rows of the ``table``."""
     for name, values in operating.items():
         blank = np.flatnonzero(np.isnan(values))
         if len(blank):
@@ -131,6 +125,7 @@ def require_complete(operating: Operating, path: Path, table: Columns) -> None:
                 f"'{path}' must have {name} in every row, but row {row + 1} has none ({', '.join(which)}; {len(blank)} "
                 "rows in all): complete it, or leave the column out"
             )
+    return table, operating
 
 
 def list_columns(operating: Operating) -> dict[str, np.ndarray]:

@@ -36,7 +36,6 @@ from pipeline.data.operating import (
     find_points,
     list_columns,
     read_with_conditions,
-    require_complete,
 )
 from pipeline.data.tables import Columns, read_marks, write_table
 from pipeline.errors import ConfigError, DataError, nearest
@@ -168,7 +167,6 @@ def read_measured(
     """
     optional = {_FREQUENCY: "number or blank", _CONDITION: "text"}
     table, operating = read_with_conditions(vibration, _VIBRATION, optional)
-    require_complete(operating, vibration, table)
     excitations = read_excitations(excitation, n_nodes)
     nodes = read_nodes(table["node"], vibration, n_nodes and n_nodes + n_casings)
     angles = _read_angles(table["direction"], vibration)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import find_points, name_state, read_with_conditions, require_complete
+from pipeline.data.operating import find_points, name_state, read_with_conditions
 from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.tracks import ROUNDING, RunTracks
@@ -53,7 +53,6 @@ def _read_log(config: MeasuredConfig) -> tuple[Columns, Conditions] | None:
     path = Path(config.conditions_file)
     places = {"speed_rpm": "number", "time_s": "number"}
     table, operating = read_with_conditions(path, {"run": "text"}, places)
-    require_complete(operating, path, table)
     if not operating:
         raise DataError(
             f"'{path}' must have columns of operating conditions, such as oil_temperature_degC, but it has none"
