@@ -10,14 +10,17 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache
 from multiprocessing import resource_tracker
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, TypeVar
+
+from pipeline.errors import PipelineError
 
 _T = TypeVar("_T")
 
@@ -82,23 +85,61 @@ def let_interrupt_through() -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
-@contextmanager
-def open_pool(workers: int, threads: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Give ``map`` over as many processes; one worker is this process. Ctrl-C ends the others at once."""
-    if workers == 1:
-        yield map
+def run_all(
+    function: Callable[[Any], Any], each: Sequence[Any], workers: int, threads: int, less: str
+) -> Iterator[tuple[int, Any]]:
+    """The place of each, and what the ``function`` makes of it, as they end in so many processes; one worker is this
+    process. Ctrl-C ends what is at work.
+
+    Raises PipelineError where a process is killed; ``less`` is the override that needs less memory.
+    """
+    if min(workers, len(each)) <= 1:
+        yield from enumerate(map(function, each))
         return
-    each = share_threads(threads, workers)
-    # New interpreters, since torch and BLAS don't survive a fork.
-    with limit_threads(each), delay_interrupt():
-        processes = multiprocessing.get_context("spawn").Pool(workers, _begin_worker, (each,))
-    with processes:  # terminates them at its end
-        yield processes.imap
+    shared, context = share_threads(threads, workers), multiprocessing.get_context("spawn")  # torch survives no fork
+    with ProcessPoolExecutor(min(workers, len(each)), context, _begin_worker, (shared,)) as pool:
+        try:
+            with limit_threads(shared), delay_interrupt():
+                futures = {pool.submit(_work, function, given): i for i, given in enumerate(each)}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise PipelineError(
+                "every process must live, but one was killed (too little memory?): run the same command again to go "
+                f"on, with {less} for less memory"
+            ) from None
+        except BaseException:
+            processes = list(pool._processes.values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.terminate()
+            raise
+
+
+_working = False
+"""In a worker, whether it is at work."""
 
 
 def _begin_worker(threads: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too
+    # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    end_with_parent()
     settle_torch(threads)
+
+
+def _leave(*_: object) -> None:
+    if _working:
+        raise SystemExit
+
+
+def _work(function: Callable[[Any], Any], given: Any) -> Any:
+    global _working
+    _working = True
+    try:
+        return function(given)
+    finally:
+        _working = False
 
 
 def run_within(seconds: float, function: Callable[[], _T]) -> _T:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from pipeline.comparison.cases import Case, Machine, Result, judge_method
 from pipeline.config.comparison import MethodName
-from pipeline.errors import DataError, PipelineError
+from pipeline.errors import DataError
 from pipeline.files import hash_parts, read_json, write_json
-from pipeline.processes import delay_interrupt, end_with_parent, limit_threads, settle_torch
+from pipeline.processes import run_all
 
 _PACKAGES = ("comparison", "data", "identification", "laws", "methods", "problem", "rotor")
 _ASKED = {"methods", "noise", "sensors", "speeds", "data_sets", "other_data_sets", "most_data_sets", "workers"}
@@ -56,7 +53,10 @@ def compare(machine: Machine, runs: Sequence[MethodRun], folder: Path, done: Don
     """
     fingerprint = hash_inputs(machine)
     results = {run: kept for run in runs if (kept := _read_kept(folder / name_file(*run), fingerprint)) is not None}
-    for run, result in _run_all(machine, [run for run in runs if run not in results]):
+    rest = [run for run in runs if run not in results]
+    less = "comparison.workers=1"
+    for i, result in run_all(partial(_judge, machine), rest, machine.settings.workers, 1, less):
+        run = rest[i]
         write_json(folder / name_file(*run), {"fingerprint": fingerprint, "result": result.model_dump()})
         results[run] = result
         done(len(results), len(runs), result)
@@ -74,51 +74,5 @@ def _read_kept(path: Path, fingerprint: str) -> Result | None:
         return None
 
 
-def _run_all(machine: Machine, runs: Sequence[MethodRun]) -> Iterator[tuple[MethodRun, Result]]:
-    workers = min(machine.settings.workers, len(runs))
-    if workers <= 1:
-        yield from ((run, judge_method(machine, *run)) for run in runs)
-        return
-    context = multiprocessing.get_context("spawn")  # torch and BLAS don't survive a fork
-    with ProcessPoolExecutor(workers, context, _begin) as pool:
-        try:
-            with limit_threads(1), delay_interrupt():
-                futures = {pool.submit(_work, machine, *run): run for run in runs}
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenProcessPool:
-            raise PipelineError(
-                "every process of the comparison must live, but one was killed (too little memory?): run the same "
-                "command again to go on, with comparison.workers=1 for less memory"
-            ) from None
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                process.terminate()
-            raise
-
-
-_working = False
-"""In a worker, whether a method is at work."""
-
-
-def _begin() -> None:
-    # The parent gets Ctrl-C too, and says when it is over: what is at work then ends, and the process in its own time.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
-    end_with_parent()
-    settle_torch(1)
-
-
-def _leave(*_: object) -> None:
-    if _working:
-        raise SystemExit
-
-
-def _work(machine: Machine, method: MethodName, case: Case) -> Result:
-    global _working
-    _working = True
-    try:
-        return judge_method(machine, method, case)
-    finally:
-        _working = False
+def _judge(machine: Machine, run: MethodRun) -> Result:
+    return judge_method(machine, *run)

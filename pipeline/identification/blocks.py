@@ -51,8 +51,18 @@ class Places:
 def lay_out(n_coefficients: int, n_numbers: int, n_planes: int, n_parameters: int) -> Places:
     """The blocks one after the other."""
     ends = np.cumsum([n_coefficients, n_numbers, 2 * n_planes, n_parameters]).tolist()
-    blocks = map(slice, [0, *ends], ends)
-    return Places(*blocks, n_coefficients, n_numbers, n_planes, n_parameters, ends[-1] - n_coefficients)
+    coefficients, numbers, planes, parameters = map(slice, [0, *ends[:-1]], ends)
+    return Places(
+        coefficients,
+        numbers,
+        planes,
+        parameters,
+        n_coefficients=n_coefficients,
+        n_numbers=n_numbers,
+        n_planes=n_planes,
+        n_parameters=n_parameters,
+        n_rest=ends[-1] - n_coefficients,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import Outcome, minimise, setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
-from pipeline.processes import open_pool
+from pipeline.processes import run_all
 from pipeline.reporting.console import count_progress, training_progress
 from pipeline.reporting.training import draw_refits, draw_robustness, print_refits, print_starts
 from pipeline.stages.analysis import Analysis, use_threads
@@ -108,15 +108,13 @@ def measure_again(config: Config, seed: int) -> Refit:
 
 def refit_all(config: Config) -> list[Refit]:
     """In the order of the seeds, whatever the number of processes."""
-    count, refits = config.robustness.count, []
-    with (
-        count_progress(config.name, count) as progress,
-        open_pool(config.robustness.workers, config.threads) as each,
-    ):
-        for fitted in each(partial(measure_again, config), range(count)):
-            refits.append(fitted)
+    seeds, refits = range(config.robustness.count), dict[int, Refit]()
+    again, workers = partial(measure_again, config), config.robustness.workers
+    with count_progress(config.name, len(seeds)) as progress:
+        for seed, fitted in run_all(again, seeds, workers, config.threads, "robustness.workers=1"):
+            refits[seed] = fitted
             progress(len(refits), "data sets")
-    return refits
+    return [refits[seed] for seed in seeds]
 
 
 def _refit(analysis: Analysis) -> StageRecord:

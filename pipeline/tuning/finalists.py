@@ -16,7 +16,7 @@ from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import Outcome, setup_of
-from pipeline.processes import open_pool
+from pipeline.processes import run_all
 from pipeline.tuning.space import translate
 from pipeline.tuning.storage import WORKER, list_results
 from pipeline.tuning.study import Judged, StudyProblem, judge
@@ -107,12 +107,11 @@ def train_finalists(
             chosen[place] = values
     # One training at a time, as in `stage=train`: a batch would go on until its slowest seed is done.
     each = [(problem, place, values, seed) for place, values in chosen.items() for seed in config.seeds]
-    with open_pool(min(config.workers, len(each)), problem.config.threads) as run_all:
-        trained = []
-        for (_, place, _, seed), run in zip(each, run_all(_train_seed, each), strict=True):
-            trained.append(run)
-            show(len(trained), f"trainings of finalists, trial {place} with seed {seed}: loss {write_number(run.loss)}")
-    batches = [trained[i : i + len(config.seeds)] for i in range(0, len(trained), len(config.seeds))]
+    trained: dict[int, Judged] = {}
+    for i, run in run_all(_train_seed, each, config.workers, problem.config.threads, "tuning.workers=1"):
+        trained[i], (_, place, _, seed) = run, each[i]
+        show(len(trained), f"trainings of finalists, trial {place} with seed {seed}: loss {write_number(run.loss)}")
+    batches = [[trained[i + s] for s in range(len(config.seeds))] for i in range(0, len(each), len(config.seeds))]
     return [
         Finalist(
             trial=place,

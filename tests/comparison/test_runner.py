@@ -154,7 +154,7 @@ def killed(*_: object) -> Result:
 
 @pytest.mark.slow
 def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_work", killed)
+    monkeypatch.setattr(runner, "_judge", killed)
     with pytest.raises(PipelineError, match="run the same command again to go on"):
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
 
