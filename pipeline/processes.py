@@ -116,8 +116,8 @@ def run_all(
             raise
 
 
-_working = False
-"""In a worker, whether it is at work."""
+_working = _left = False
+"""In a worker, whether it is at work, and whether it is to take nothing more."""
 
 
 def _begin_worker(threads: int) -> None:
@@ -129,6 +129,8 @@ def _begin_worker(threads: int) -> None:
 
 
 def _leave(*_: object) -> None:
+    global _left
+    _left = True
     if _working:
         raise SystemExit
 
@@ -137,7 +139,7 @@ def _work(function: Callable[[Any], Any], given: Any) -> Any:
     global _working
     _working = True
     try:
-        return function(given)
+        return None if _left else function(given)
     finally:
         _working = False
 

@@ -232,9 +232,7 @@ def list_numbers(found: Mapping[str, Mapping[str, Any]], config: Config) -> list
 
 
 def print_laws(config: Config, quality: Mapping[str, Any]) -> None:
-    """A row a number, and what speaks for and against the laws; nothing of a fit without bearing laws."""
-    if "physical_numbers" not in quality:
-        return
+    """A row a number, and what speaks for and against the laws, of a fit with bearing laws."""
     numbers = list_numbers(quality["physical_numbers"], config)
     table(*tabulate_numbers(f"{config.name}: numbers of the bearing laws (+- standard deviation)", numbers))
     for sentence in describe_law(quality, config.model.kind):

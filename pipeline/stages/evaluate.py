@@ -76,8 +76,8 @@ def run(analysis: Analysis) -> StageRecord:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
-    print_laws(config, quality)
     if "physical_numbers" in quality:
+        print_laws(config, quality)
         metrics["physical_numbers"] = judge_numbers(quality["physical_numbers"], config.machine)
     elsewhere = model_unmeasured(config, answer.table.speeds)
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)

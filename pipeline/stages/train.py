@@ -111,7 +111,8 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):
         say(f"{config.name}: {untold} usual tolerances were fitted and moved less than that, in 'model_parameters.csv'")
-    print_laws(config, summary)
+    if "physical_numbers" in summary:
+        print_laws(config, summary)
     misfit = measure_misfit(summary["fit"]) if "fit" in summary else None
     # NaN compares false.
     if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:
