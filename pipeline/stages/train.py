@@ -43,11 +43,10 @@ def run(analysis: Analysis) -> StageRecord:
         fitted = fit(measurement, setup_of(config), progress, diagnose(analysis))
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
     after = _deviations(analysis, answer)
-    determined = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     # A loss that overflowed is no JSON number.
     held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
     summary: dict[str, Any] = {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
-    summary["determined"] = determined
+    summary["determined"] = {"by": after.of, "coefficients": summarize_determined(after.judge())}
     files = _write(analysis, fitted, answer, summary)
     _report(analysis, fitted, summary)
     say(f"{config.name}: {describe_verdicts(summary)}")
