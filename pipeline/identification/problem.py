@@ -100,7 +100,7 @@ class OutputError(LeastSquares):
     @property
     def size(self) -> int:
         """Z."""
-        return self.places.parameters.stop
+        return int(self.places.parameters.stop)
 
     @property
     def n_fitted(self) -> int:
