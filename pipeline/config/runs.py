@@ -6,7 +6,7 @@ SI, angles in rad, speeds in rpm.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -70,16 +70,16 @@ class RunConfig(Section):
     def _excited(self) -> Iterator[str]:
         if not self.unbalances and not self.forces:
             yield f"run '{self.name}' must have an unbalance or a force, but it has none"
-        yield from check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
+        yield from check_frequency(self)
 
 
-def check_frequency(name: str, hz: float | None, ratio: float | None, unbalanced: bool) -> Iterator[str]:
-    """What is wrong with a run with two frequencies of its own, or with one beside an unbalance."""
-    if hz and ratio:
-        yield f"run '{name}' must have frequency_hz or frequency_ratio, but it has both"
-    if unbalanced and (hz or ratio):
+def check_frequency(run: Any) -> Iterator[str]:
+    """What is wrong with a ``run`` with two frequencies of its own, or with one beside an unbalance."""
+    if run.frequency_hz and run.frequency_ratio:
+        yield f"run '{run.name}' must have frequency_hz or frequency_ratio, but it has both"
+    if run.unbalances and (run.frequency_hz or run.frequency_ratio):
         yield (
-            f"run '{name}' must have no unbalances where its forces have a frequency of their own (unbalances turn "
+            f"run '{run.name}' must have no unbalances where its forces have a frequency of their own (unbalances turn "
             "with the rotor), but it has some: put them into another run"
         )
 

@@ -7,47 +7,15 @@ the data that the model was made for; beyond them the map goes on.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-
-from pipeline.errors import DataError
 
 if TYPE_CHECKING:
     import torch
 
 SPEED = "speed"
-
-
-def scale_inputs(
-    names: Sequence[str],
-    ranges: Sequence[tuple[float, float]],
-    logarithmic: bool,
-    points: Mapping[str, np.ndarray],
-    wide: float = 1.5,
-) -> torch.Tensor:
-    """(S, inputs) in [-1, 1] over the ``ranges``, from ``points``: name -> (S,), SI. Raises DataError for a lack.
-
-    The speed counts by its logarithm where that is asked for, and so does an operating condition that varies by the
-    factor ``wide`` or more: a load acts as a power, while an oil temperature in kelvin varies by a few percent.
-    """
-    import torch
-
-    lacking = [name for name in names if name not in points]
-    if lacking:
-        raise DataError(
-            f"the coefficients are functions of {' and '.join(names)}, but {lacking[0]} is not given: say at which "
-            f"{lacking[0]} they are wanted"
-        )
-    columns = []
-    for name, span in zip(names, ranges, strict=True):
-        as_power = name == SPEED or (span[0] > 0 and span[1] / span[0] >= wide)
-        transform = np.log if logarithmic and as_power else np.asarray
-        low, high = (float(transform(edge)) for edge in span)
-        half = (high - low) / 2 or 1.0
-        columns.append((transform(np.asarray(points[name], dtype=float)) - low) / half - 1.0)
-    return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
 
 
 def trend_terms(

@@ -19,8 +19,8 @@ import numpy as np
 
 from pipeline.coefficients import CoefficientName, is_direct
 from pipeline.config.models import ModelConfig
-from pipeline.errors import ConfigError
-from pipeline.identification.inputs import SPEED, activate, evaluate_functions, fade, scale_inputs, trend_terms, varying
+from pipeline.errors import ConfigError, DataError
+from pipeline.identification.inputs import SPEED, activate, evaluate_functions, fade, trend_terms, varying
 from pipeline.unknowns import outputs_of, scale_outputs
 
 if TYPE_CHECKING:
@@ -91,12 +91,29 @@ class CoefficientModel:
         """How many of them are the output layer's, the last ones."""
         return (self.sizes[-1][0] + 1) * self.sizes[-1][1]
 
-    def scaled_inputs(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+    def scaled_inputs(self, points: Mapping[str, np.ndarray], wide: float = 1.5) -> torch.Tensor:
         """(S, inputs) in [-1, 1] over the trained range, from ``points``: ``speed`` in rad/s, conditions in SI, (S,).
 
+        The speed counts by its logarithm where that is asked for, and so does an operating condition that varies by the
+        factor ``wide`` or more: a load acts as a power, while an oil temperature in kelvin varies by a few percent.
         Raises DataError for an input that is not given; what the model does not depend on is ignored.
         """
-        return scale_inputs(self.inputs, self.ranges, self.input_scaling == "log_rpm", points)
+        import torch
+
+        lacking = [name for name in self.inputs if name not in points]
+        if lacking:
+            raise DataError(
+                f"the coefficients are functions of {' and '.join(self.inputs)}, but {lacking[0]} is not given: say at "
+                f"which {lacking[0]} they are wanted"
+            )
+        columns = []
+        for name, span in zip(self.inputs, self.ranges, strict=True):
+            as_power = name == SPEED or (span[0] > 0 and span[1] / span[0] >= wide)
+            transform = np.log if self.input_scaling == "log_rpm" and as_power else np.asarray
+            low, high = (float(transform(edge)) for edge in span)
+            half = (high - low) / 2 or 1.0
+            columns.append((transform(np.asarray(points[name], dtype=float)) - low) / half - 1.0)
+        return torch.as_tensor(np.stack(columns, axis=1), dtype=torch.float64)
 
     def _feed(self, parameters: torch.Tensor, inputs: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """(..., S, n_in) what each layer is fed by, and (..., S, n_out) slopes of the hidden units."""

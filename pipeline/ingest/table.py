@@ -76,9 +76,7 @@ class TableRunConfig(MeasuredRunConfig):
         hz, ratio = self.frequency_hz, self.frequency_ratio
         return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
 
-    @rule
-    def _synchronous(self) -> Iterator[str]:
-        yield from check_frequency(self.name, self.frequency_hz, self.frequency_ratio, bool(self.unbalances))
+    _synchronous = rule(check_frequency)
 
 
 class TableRecordingsConfig(MeasuredConfig):

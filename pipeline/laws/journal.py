@@ -49,9 +49,7 @@ class _JournalLawConfig(Section):
 
     has_film: ClassVar[bool] = True
 
-    @rule
-    def _turns_in_its_bore(self) -> Iterator[str]:
-        yield from check_clearance(self)
+    _turns_in_its_bore = rule(check_clearance)
 
     @rule
     def _shares_a_condition(self) -> Iterator[str]:

@@ -131,9 +131,7 @@ class _JournalBearing(_Bearing):
     radial_clearance: Length
     oil_viscosity: ModelledViscosity
 
-    @rule
-    def _turns_in_its_bore(self) -> Iterator[str]:
-        yield from check_clearance(self)
+    _turns_in_its_bore = rule(check_clearance)
 
 
 class CylindricalBearingConfig(_JournalBearing):
