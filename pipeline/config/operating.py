@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,13 +44,11 @@ UNITS = (
 """A column of any other name is a condition where it ends in one of these."""
 
 
-@dataclass(frozen=True)
-class ConditionColumn:
-    """A column of a table that has an operating condition."""
+class ConditionColumn(Section):
+    """A column of a table with an operating condition in ``unit``."""
 
-    column: str
-    name: str
-    unit: str
+    column: Annotated[str, Field(min_length=1)]
+    unit: Annotated[str, Field(min_length=1)]
 
     def to_si(self, values: np.ndarray) -> np.ndarray:
         """Values of the column in SI, temperatures in K."""
@@ -65,8 +62,8 @@ class ConditionColumn:
         return written
 
 
-def find_column(column: str) -> ConditionColumn | None:
-    """The condition that a column has; None for a column of something else.
+def find_column(column: str) -> dict[str, ConditionColumn]:
+    """The condition that a column has, by its name; none for a column of something else.
 
     Raises ValueError for a condition without a unit, or with one of another dimension.
     """
@@ -75,14 +72,14 @@ def find_column(column: str) -> ConditionColumn | None:
     if column.split("_")[-1] in WRITTEN:
         raise ValueError(f"must have its unit in the name of the column '{column}', but it has none: {_advise(column)}")
     if word not in WRITTEN:
-        return ConditionColumn(column, column, unit) if name and unit in UNITS else None
+        return {column: ConditionColumn(column=column, unit=unit)} if name and unit in UNITS else {}
     try:
         right = unit not in ("C", "F") and same_dimension(unit, WRITTEN[word])
     except ValueError:
         right = False
     if not right:
         raise ValueError(f"must have a unit of {word} at the end of '{column}', but got '{unit}': {_advise(name)}")
-    return ConditionColumn(column, name, unit)
+    return {name: ConditionColumn(column=column, unit=unit)}
 
 
 def _advise(name: str) -> str:
@@ -96,15 +93,13 @@ def find_columns(columns: Iterable[str], others: Sequence[str] = ()) -> dict[str
     """
     found: dict[str, ConditionColumn] = {}
     for column in columns:
-        condition = None if column in others else find_column(column)
-        if not condition:
-            continue
-        if condition.name in found:
-            raise ValueError(
-                f"must have each condition once, but {condition.name} is in '{found[condition.name].column}' and "
-                f"'{column}': leave one out"
-            )
-        found[condition.name] = condition
+        for name, condition in ({} if column in others else find_column(column)).items():
+            if name in found:
+                raise ValueError(
+                    f"must have each condition once, but {name} is in '{found[name].column}' and '{column}': leave one "
+                    "out"
+                )
+            found[name] = condition
     return found
 
 
@@ -112,9 +107,9 @@ def column_of(name: str) -> ConditionColumn:
     """The column that the condition ``name`` is written to. Raises ValueError for a name that is no condition's."""
     word = name.split("_")[-1]
     if word in WRITTEN:
-        return ConditionColumn(f"{name}_{WRITTEN[word]}", name, WRITTEN[word])
-    column = find_column(name)
-    if not column or column.name != name:
+        return ConditionColumn(column=f"{name}_{WRITTEN[word]}", unit=WRITTEN[word])
+    column = find_column(name).get(name)
+    if not column:
         raise ValueError(
             f"must name a condition by a last word that says what it is ({', '.join(WRITTEN)}) or by its unit "
             f"(preheat_degC), but got '{name}'"
@@ -165,20 +160,13 @@ def _read_conditions(value: Any, difference: bool = False) -> dict[str, float]:
     return {name: to_quantity(name, given, difference) for name, given in _read_mapping(value).items()}
 
 
-class ConditionColumnConfig(Section):
-    """A column of a table with an operating condition in ``unit``."""
-
-    column: Annotated[str, Field(min_length=1)]
-    unit: Annotated[str, Field(min_length=1)]
-
-
-def _check_columns(columns: dict[str, ConditionColumnConfig]) -> dict[str, ConditionColumnConfig]:
+def _check_columns(columns: dict[str, ConditionColumn]) -> dict[str, ConditionColumn]:
     for name, column in columns.items():
         to_quantity(name, f"1000 {column.unit}")
     return columns
 
 
-ConditionColumns = Annotated[dict[str, ConditionColumnConfig], AfterValidator(_check_columns)]
+ConditionColumns = Annotated[dict[str, ConditionColumn], AfterValidator(_check_columns)]
 """Columns of a table by the name of the condition that they have."""
 States = Annotated[dict[str, tuple[float, ...]], BeforeValidator(_read_states)]
 """Values of each condition by its name, SI: every combination is a state of the machine."""

@@ -24,7 +24,6 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
-from pipeline.config.quantities import to_base
 from pipeline.config.runs import check_frequency
 from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
@@ -154,8 +153,7 @@ def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[s
     return {
         name: (
             speeds * RAD_S[config.conventions.speed],
-            np.bincount(at.ravel(), to_base(table[condition.column].astype(float), condition.unit))
-            / np.bincount(at.ravel()),
+            np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
         )
         for name, condition in config.columns.conditions.items()
     }
