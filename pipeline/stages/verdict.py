@@ -22,11 +22,9 @@ def run(analysis: Analysis) -> StageRecord:
         write_table(work.folder / "verdicts.csv", tabulate_verdicts(judged)),
     ]
     print_verdicts(config.name, judged)
-    counts = {
-        name: sum(entry["verdict"] == name for entry in judged["verdicts"]) for name in ("good", "with care", "no")
-    }
+    given = [entry["verdict"] for entry in judged["verdicts"]]
     return StageRecord(
-        {"verdicts": {name.replace(" ", "_"): float(count) for name, count in counts.items()}},
+        {"verdicts": {name.replace(" ", "_"): float(given.count(name)) for name in ("good", "with care", "no")}},
         restore(analysis).tags | {"verdict": judged["machine"]["verdict"]},
         written,
     )
