@@ -71,8 +71,7 @@ def test_the_machine_is_predicted_to_the_stated_deviations(rig: SmallRig, model:
     mean, covariance = model.predict(weights)
     true = _respond(rig, weights, rig.bearings)
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
-    apart = abs(mean - true) / deviation
-    assert np.sqrt((apart**2).mean()) < 2
+    assert np.sqrt((abs((mean - true) / deviation) ** 2).mean()) < 2
     assert (deviation < 0.05 * abs(true).max()).all()
 
 

@@ -247,8 +247,7 @@ def test_both_forms_of_the_gain_are_one(seed: int, n_channels: int) -> None:
     parts = generator.standard_normal((2, 3, n_channels, 4))
     through, prior = parts[0] + 1j * parts[1], generator.uniform(0.5, 2, (3, 4))
     deviation = generator.uniform(0.5, 2, (3, n_channels))
-    adjoint = through.conj().swapaxes(1, 2)
-    spread = prior[..., None] * adjoint
+    spread = prior[..., None] * through.conj().swapaxes(1, 2)
     dense = spread @ np.linalg.inv(through @ spread + deviation[..., None] ** 2 * np.eye(n_channels))
     np.testing.assert_allclose(_gain(through, prior, deviation), dense, rtol=1e-9, atol=1e-12)
 

@@ -179,8 +179,7 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
     fit = fit_of(whole, dataset, 0.01, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
-    found = worst(whole, fit)
-    assert found < 0.01
+    assert worst(whole, fit) < 0.01
 
 
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
@@ -193,8 +192,7 @@ def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
 @pytest.mark.slow
 def test_bad_points_are_found_and_do_little(rotor_of: Machine) -> None:
     dataset = noisy(rotor_of, 0.01, 3)
-    generator = np.random.default_rng(5)
-    spoilt = generator.random(dataset.displacement.shape) < 0.02
+    spoilt = np.random.default_rng(5).random(dataset.displacement.shape) < 0.02
     shifted = np.where(spoilt, 1.1 * dataset.displacement, dataset.displacement)
     fit = fit_of(rotor_of, replace(dataset, displacement=shifted), 0.01)
     clean = fit_of(rotor_of, dataset, 0.01)

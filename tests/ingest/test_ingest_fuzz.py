@@ -107,8 +107,7 @@ def _vectors() -> Vectors:
 
 
 def _signals() -> dict[str, np.ndarray]:
-    t = np.arange(4000) / 4000.0
-    phi = 2 * np.pi * 17.3 * t + 0.2
+    phi = 2 * np.pi * 17.3 * np.arange(4000) / 4000.0 + 0.2
     return {name: rotating(1e-5 * np.exp(1j * i), phi) for i, name in enumerate("ABCD")} | {"tacho": tacho_of(phi)}
 
 

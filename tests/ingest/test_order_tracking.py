@@ -296,8 +296,7 @@ def test_what_can_not_be_tracked_is_refused(case: str, rng: np.random.Generator)
 def test_the_speeds_that_a_record_covers(rng: np.random.Generator) -> None:
     """A window of eight revolutions must fit: its end speeds follow from constant acceleration."""
     low, high = find_range(Shaft(5000.0, 600.0, 6000.0, 60.0).recorded(0.0, rng), Settings())
-    first = (600**2 + 2 * 90 * 60 * 4) ** 0.5
-    assert low / RPM == pytest.approx(first, rel=0.02)
+    assert low / RPM == pytest.approx((600**2 + 2 * 90 * 60 * 4) ** 0.5, rel=0.02)
     assert high / RPM == pytest.approx(6000 - 90 * 60 * 4 / 6000, rel=1e-3)
 
 

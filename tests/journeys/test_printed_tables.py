@@ -37,8 +37,7 @@ def test_a_table_is_what_was_measured_once(page: str, name: str) -> None:
 @pytest.mark.parametrize(("page", "name"), [each for each in PRINTED if needs_artifacts(TEMPLATES[each[1]])])
 def test_a_table_is_what_the_graph_made(page: str, name: str) -> None:
     """To one in the last digit; `make tables` writes the others."""
-    filled = fill(TEMPLATES[name], ARTIFACTS)
-    assert find_differences(read_tables(page)[name], filled) == []
+    assert find_differences(read_tables(page)[name], fill(TEMPLATES[name], ARTIFACTS)) == []
 
 
 def test_what_was_measured_says_how() -> None:

@@ -178,8 +178,7 @@ def test_nothing_is_said_of_a_right_measurement() -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_a_mistake_is_named(name: str) -> None:
     said = said_of(CASES[name].made())
-    looked_at = said[:1] if CASES[name].first else said
-    assert any(CASES[name].said in one for one in looked_at), said
+    assert any(CASES[name].said in line for line in (said[:1] if CASES[name].first else said)), said
 
 
 # --- what is seen before any fit ------------------------------------------------------------------------

@@ -34,8 +34,7 @@ def test_the_spline_is_as_good_as_the_output_error_with_b_splines() -> None:
         ours.append(errors(identify_by_spline(data, options(*FILM)), case, *FILM).mean())
         found = fit(data, setup_of(*FILM, *few)).table(data.known)
         theirs.append(errors(Estimate(found, None), case, *FILM).mean())
-    ratio = np.mean(ours) / np.mean(theirs)
-    assert 3 / 4 < ratio < 4 / 3
+    assert 3 / 4 < np.mean(ours) / np.mean(theirs) < 4 / 3
 
 
 def test_constants_are_the_same_minimum() -> None:

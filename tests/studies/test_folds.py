@@ -44,8 +44,7 @@ def as_dataset(conditions: Conditions) -> VibrationDataset:
 
 def test_no_split_tests_what_it_trains_or_what_calibrates() -> None:
     conditions = conditions_of(np.random.default_rng(0), 24)
-    calibration = conditions.names[:3]
-    splits = list_splits(conditions, calibration, 5, 60 * GRAM, 0)
+    splits = list_splits(conditions, conditions.names[:3], 5, 60 * GRAM, 0)
     assert {split.task for split in splits} == {
         *("folds", "calibration_alone", "configuration_left_out", "heavier", "other_speed")
     }

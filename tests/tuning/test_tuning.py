@@ -278,8 +278,7 @@ def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic
     residual = hydrostatic.equations.residual(table.impedance())[:, kept]
     force = hydrostatic.equations.free_residual[:, kept]
     share = np.abs(residual) ** 2 / (np.abs(force) ** 2).mean(axis=(2, 3), keepdims=True)
-    elements = 2  # real and imaginary part
-    assert numbers[0] == pytest.approx(math.sqrt(share.mean() / elements), rel=1e-9)
+    assert numbers[0] == pytest.approx(math.sqrt(share.mean() / 2), rel=1e-9)  # real and imaginary part
     assert numbers[0] == numbers[1]
 
 

@@ -126,8 +126,7 @@ def test_modes_at_a_temperature_that_was_not_measured_lie_within_their_deviation
     true = find_modes(there.rotor, warm_bearings(table.speeds, np.full(len(SPEEDS), 72.0)))
     known = np.isfinite(modes.frequency) & np.isfinite(true.frequency) & (deviations.frequency > 0)
     assert known.any(axis=1).all()
-    off = np.abs(modes.frequency - true.frequency)[known] / deviations.frequency[known]
-    assert np.median(off) < 3
+    assert np.median(np.abs(modes.frequency - true.frequency)[known] / deviations.frequency[known]) < 3
 
 
 def test_a_state_that_was_held_out_is_judged_by_itself() -> None:
