@@ -2,8 +2,8 @@
 
 Casings are places besides the bearings, where nothing changes until a support does.
 
-With ``D X = right`` on the reference bearings, a parameter of the model moves the solution by
-``dX = D^-1 (d right - dD X)``, with the same factors for all of them.
+With ``D X = right`` on the reference bearings, a parameter of the model moves what rows c show of the solution by
+``c dX = (D'^-1 c')' (d right - dD X)``: one adjoint solution serves all parameters.
 
 Legend: S speeds, P channels, R runs, B bearings and casings, N balance planes, T model parameters, n lateral DOF. SI
 units.
@@ -19,9 +19,9 @@ from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs,
 from pipeline.problem.force_parameters import bow_change, bow_force, force_change, update_excitations
 from pipeline.problem.model_parameters import runout, sensor_change, sensor_matrix, turns_with_rotor
 from pipeline.problem.response import ResponseBlock, ResponseEquations
-from pipeline.rotor.dynamic_stiffness import apply, banded, solve
+from pipeline.rotor.dynamic_stiffness import apply, banded, coupled, solve
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import TRANSLATIONS, RotorModel, casing_dof, translation_dof
+from pipeline.rotor.model import RotorModel, casing_dof, translation_dof
 from pipeline.rotor.parameters import MOVED, ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
@@ -134,37 +134,38 @@ def response_variations(
         return ()
     updated, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
     sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
-    places, everything, system = bearing_places(updated), np.arange(rotor.n_dof), banded(updated)
+    places, system, ground = bearing_places(updated), banded(updated), casing_dof(updated).ravel()
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
     impedance = places.spread(np.broadcast_to(reference * np.eye(2), (len(places.dof), len(speeds), 2, 2)))
     blocks, rows = [], places.loads(updated.n_dof).T
+    shown = np.concatenate([rows, np.eye(updated.n_dof)[ground], sensors])  # at bearings, at casings, and by probes
+    count, right = len(rows) + len(ground), np.broadcast_to(shown.T, (len(speeds), *shown.T.shape))
     for runs, w, n_planes, solved in _solved(updated, data, reference, planes, bow):
-        at_bearings, at_sensors, forced = [], [], slice(0, len(runs))
+        adjoint = solve(system, w, speeds, right, impedance, places.dof, transposed=True).swapaxes(1, 2)  # (S, .., n)
+        pushed, felt, forced = adjoint @ rows.T, rows @ solved, slice(0, len(runs))
+        loaded, changes = slice(solved.shape[-1] - count, solved.shape[-1] - len(ground)), []
         for t, parameter in enumerate(parameters):
-            right, beside = np.zeros_like(solved), np.zeros((1, 1))
+            moved = np.zeros((*adjoint.shape[:2], solved.shape[-1]), dtype=complex)
             if (change := rotor_change(parameter, rotor)) is not None:
-                right -= parameter.slope(values[t]) * apply(change, everything, everything, w, speeds, solved)
+                at = coupled(change)
+                moved -= parameter.slope(values[t]) * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
             if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
-                right[..., forced] += force[..., runs]
+                moved[..., forced] += adjoint @ force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
-                right[..., forced] += bent[:, None] * turns[runs]
+                moved[..., forced] += (adjoint @ bent)[..., None] * turns[runs]
             if parameter.kind in MOVED:
                 # With the bearings' rows c on the matrices, D + c' H0 c has the derivative dc' H0 c + c' H0 dc.
                 slopes = parameter.deviation * MOVED[parameter.kind][1](updated, parameter.place)
-                right -= reference * (slopes.T @ (rows @ solved) + rows.T @ (slopes @ solved))
-                ground = TRANSLATIONS * updated.n_ground
-                right[..., right.shape[-1] - len(rows) - ground : right.shape[-1] - ground] += slopes.T
-                beside = np.pad(slopes @ solved, ((0, 0), (0, ground), (0, 0)))  # the bearings' own motion
-            response = right
-            if right.any():  # the probes and the known coefficients move nothing on the reference bearings
-                response = solve(system, w, speeds, right, impedance, places.dof)
-            shown = sensors @ response
+                turned = adjoint @ slopes.T
+                moved -= reference * (turned @ felt + pushed @ (slopes @ solved))
+                moved[..., loaded] += turned
+                moved[:, : len(rows)] += slopes @ solved  # the bearings' own motion
             if (seen := sensor_change(parameter, dataset, updated, parameters, values)) is not None:
-                shown = shown + seen @ solved
+                moved[:, count:] += seen @ solved
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
-                shown[..., forced] += vector[:, None] * turns[runs]
-            at_bearings.append(_show(updated, response) + beside)
-            at_sensors.append(shown)
-        blocks.append(_split(runs, w, n_planes, np.stack(at_bearings), np.stack(at_sensors)))
+                moved[:, count:, forced] += vector[:, None] * turns[runs]
+            changes.append(moved)
+        every = np.stack(changes)
+        blocks.append(_split(runs, w, n_planes, every[:, :, :count], every[:, :, count:]))
     return tuple(blocks)

@@ -80,9 +80,10 @@ def solve(
     right: np.ndarray,
     impedance: np.ndarray = _NO_BLOCKS,
     impedance_dof: np.ndarray = _NO_BLOCKS,
+    transposed: bool = False,
     chunk_size: int = 16,
 ) -> np.ndarray:
-    """Solve ``D(w) X = right`` at every speed.
+    """Solve ``D(w) X = right`` at every speed, or ``D(w)' X = right`` if ``transposed``.
 
     Args:
         frequencies: (S,) excitation frequencies w, rad/s.
@@ -115,7 +116,8 @@ def solve(
             for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
                 matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
         for s in range(chunk.start, chunk.stop):
-            *_, info = lapack.zgbsv(width, width, band[s - start].T, solution[s].T, overwrite_ab=True, overwrite_b=True)
+            factor, pivots, info = lapack.zgbtrf(band[s - start].T, width, width, overwrite_ab=True)
+            lapack.zgbtrs(factor, width, width, solution[s].T, pivots, trans=int(transposed), overwrite_b=True)
             if info != 0:
                 solution[s] = np.nan
     finite = np.isfinite(solution).all(axis=(1, 2))
@@ -127,6 +129,12 @@ def solve(
     result = np.empty_like(right, dtype=complex)
     result[:, system.order] = solution.swapaxes(1, 2)
     return result
+
+
+def coupled(rotor: RotorModel) -> np.ndarray:
+    """Indices of the DOF that any of the rotor's matrices has a number for."""
+    matrices = np.stack([rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness])
+    return np.flatnonzero(matrices.any(axis=(0, 1)) | matrices.any(axis=(0, 2)))
 
 
 def apply(
