@@ -42,6 +42,7 @@ class ModelParametersConfig(Section):
     support_damping: PositiveFloat | None = None
     support_mass: PositiveFloat | None = None
     base_participation: PositiveFloat | None = None
+    base_softening: PositiveFloat | None = None
     bearing_position: Length | None = None
     bow: Length | None = None
     unbalance_magnitude: PositiveShare | None = None

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import BASELINE, support_change
+from pipeline.problem.model_parameters import BASELINE, softening, support_change
 from pipeline.problem.response import (
     ResponseBlock,
     derive,
@@ -209,6 +209,7 @@ class _Placed:
     factor: torch.Tensor  # (G, B) what these runs' bearings are scaled by
     eight: torch.Tensor  # (G, S, B, 8) coefficients before that
     scale: torch.Tensor  # (B, T) derivative of the factor
+    known: torch.Tensor  # (G, S or 1, 8 B, T) derivative of what softens in these runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,14 +284,32 @@ class SensorModel:
         return tuple(block.converted(torch.as_tensor) for block in self.whole.variations)
 
     @cached_property
+    def _softening(self) -> tuple[torch.Tensor, ...]:
+        """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.problem.model_parameters.softening` has them."""
+        import torch
+
+        stated, growth, fall = softening(self.measurement.parameters, self.measurement.rotor, self.whole.dataset)
+        fall = torch.as_tensor(fall).flatten(2, 3)
+        return torch.as_tensor(stated).flatten(), torch.as_tensor(growth).flatten(0, 1), fall
+
+    def _soften(self, parameters: torch.Tensor, fall: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, S, 8 B) N/m that the ``fall`` (S, 8 B, T) of one run changes, and its derivatives (G, S, 8 B, T)."""
+        stated, growth, _ = self._softening
+        held = (stated * (parameters @ growth.T).exp())[:, None]
+        change = held * (-(fall @ parameters[:, None, :, None])[..., 0]).expm1()
+        return change, change[..., None] * growth - (held + change)[..., None] * fall
+
+    @cached_property
     def _drift(self) -> torch.Tensor:
-        """(R, B, T) how model parameters scale each bearing in each run; empty where none does."""
+        """(R, B, T) how model parameters scale each bearing in each run; empty where no run has bearings or a base of
+        its own.
+        """
         import torch
 
         parameters, runs = self.measurement.parameters, self.whole.dataset.runs
         drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
-        n_places = len(self._influence) // 8
-        scales = torch.zeros(len(runs) if drifting else 0, n_places, len(parameters), dtype=torch.float64)
+        n_places, apart = len(self._influence) // 8, drifting or len(self._softening[2])
+        scales = torch.zeros(len(runs) if apart else 0, n_places, len(parameters), dtype=torch.float64)
         for t, parameter in drifting:
             scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
         return scales
@@ -298,8 +317,8 @@ class SensorModel:
     def _place(
         self, b: int, values: torch.Tensor, parameters: torch.Tensor, derivative: bool = True
     ) -> Iterator[_Placed]:
-        """Block b at the model parameters: whole, or run by run where bearings drift between the runs; its derivatives
-        by them, which take long, where they are asked for or the parameters are others than it was solved at.
+        """Block b at the model parameters: whole, or run by run where bearings or the base differ between the runs; its
+        derivatives by them, which take long, where they are asked for or the parameters are others than it was solved at.
         """
         import torch
 
@@ -312,14 +331,18 @@ class SensorModel:
         whole, shifted = self.blocks[b], bool(shift.any())
         variation = self._variations[b] if (derivative or shifted) and self._variations else None
         varied = whole if variation is None or not shifted else whole.vary(variation, shift)
-        parts = [(varied, variation, scales)]
+        nothing = torch.zeros(1, *self._softening[1].shape, dtype=torch.float64)
+        parts = [(varied, variation, scales, nothing)]
         if len(self._drift):
-            every = [(np.array([i]), self._drift[r]) for i, r in enumerate(whole.runs)]
-            parts = [(varied.of_runs(i), variation and variation.of_runs(i), scale) for i, scale in every]
-        for block, variation, scale in parts:
+            falls = self._softening[2] if len(self._softening[2]) else nothing.expand(len(self._drift), -1, -1, -1)
+            every = [(slice(i, i + 1), self._drift[r], falls[r]) for i, r in enumerate(whole.runs)]
+            parts = [(varied.of_runs(i), variation and variation.of_runs(i), *rest) for i, *rest in every]
+        for block, variation, scale, fall in parts:
             factor = 1 + parameters @ scale.mT  # (G, B)
-            change = impedance_change(eight * factor[:, None, :, None], block.frequencies, references)
-            yield _Placed(block, variation, change, factor, eight, scale)
+            softer, known = self._soften(parameters, fall)
+            held = eight + softer.unflatten(-1, (-1, 8))
+            change = impedance_change(held * factor[:, None, :, None], block.frequencies, references)
+            yield _Placed(block, variation, change, factor, held, scale, known)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block.
@@ -374,7 +397,7 @@ class SensorModel:
         response = respond(placed.block, placed.change, unbalance)
         factor = placed.factor.repeat_interleave(8, dim=1)[:, None, :, None]
         by_scale = placed.eight.flatten(2)[..., None] * placed.scale.repeat_interleave(8, dim=0)
-        every = torch.cat([moves * factor, known * factor + by_scale], dim=-1)
+        every = torch.cat([moves * factor, (known + placed.known) * factor + by_scale], dim=-1)
         by_numbers, by_parameters = derive(placed.block, response, every).split(
             [moves.shape[-1], known.shape[-1]], dim=-1
         )

@@ -36,6 +36,16 @@ def write_label(excitation: Excitation) -> str:
     return f"{1e6 * excitation.magnitude:.6g} g mm"
 
 
+def size_excitations(dataset: VibrationDataset) -> np.ndarray:
+    """(S, R) root of N: of the forces that are stated of each run, their sizes summed."""
+    forces = np.zeros(dataset.frequencies.shape)
+    for excitation in dataset.excitations:
+        run = dataset.runs.index(excitation.run)
+        share = dataset.frequencies[:, run] ** 2 if excitation.kind == "unbalance" else 1.0
+        forces[:, run] += excitation.magnitude * share
+    return np.sqrt(forces)
+
+
 # --- weights -------------------------------------------------------------------------------------------
 
 

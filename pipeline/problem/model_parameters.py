@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset, name_direction, project_direction, synchronous
 from pipeline.errors import ConfigError
-from pipeline.problem.force_parameters import PARTS, number_excitations, write_label
+from pipeline.problem.force_parameters import PARTS, number_excitations, size_excitations, write_label
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import move_casing, shaft_rows
 from pipeline.rotor.model import RotorModel, casing_dof
@@ -51,8 +51,9 @@ def model_parameters(
     places = _list_places(rotor, dataset, known, unknowns)
     for kind, deviation in deviations.items():
         kind_parameters = [ModelParameter(kind, deviation, *place) for place in places.get(kind, ())]
-        if kind in OF_SUPPORT:
-            held = np.diagonal(getattr(rotor, OF_SUPPORT[kind][0]))[casing_dof(rotor)].ravel()
+        if kind in (*OF_SUPPORT, "base_softening"):
+            matrix = OF_SUPPORT["support_stiffness" if kind == "base_softening" else kind][0]
+            held = np.diagonal(getattr(rotor, matrix))[casing_dof(rotor)].ravel()
             # A node of the ground has two coordinates: an odd number of modes leaves one without a parameter.
             kind_parameters = [replace(p, stated=float(n)) for p, n in zip(kind_parameters, held, strict=False)]
         if kind in OF_COUPLING:
@@ -121,7 +122,7 @@ _MISSING = {
     **dict.fromkeys((*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL), "no run with an unbalance"),
     **dict.fromkeys(OF_SUPPORT, "no support (machine.rotor.supports) and no base (machine.rotor.base)"),
     "support_mass": "no support (machine.rotor.supports); modes of a base have unit mass by definition",
-    "base_participation": "no base (machine.rotor.base)",
+    **dict.fromkeys(("base_participation", "base_softening"), "no base (machine.rotor.base)"),
     "bearing_position": "bearings on soft ground",
     "known_coefficients": "no known coefficient other than zero",
     "probe_position": "probes on casings alone",
@@ -189,6 +190,7 @@ def _list_places(
         **dict.fromkeys(OF_SUPPORT, supports),
         "support_mass": [] if shaken else supports,
         "base_participation": shaken,
+        "base_softening": supports if shaken else [],
         "bearing_drift": [
             (f"node {node} {run or 'baseline'}", b, run)
             for b, node in enumerate(rotor.bearing_nodes)
@@ -289,7 +291,7 @@ def _channel(
 
 def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
     """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
-    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, *OF_LABEL, "runout", "bow", "bearing_drift")
+    kept_out = (*OF_PROBE, *OF_ALL_WEIGHTS, *OF_LABEL, "runout", "bow", "bearing_drift", "base_softening")
     return tuple(
         replace(parameter, deviation=0.0, place=0) if parameter.kind in kept_out else parameter
         for parameter in parameters
@@ -316,3 +318,28 @@ def support_change(parameters: Sequence[ModelParameter], rotor: RotorModel, freq
             c = COEFFICIENTS.index(letter + 2 * parameter.detail)
             result[:, parameter.place - rotor.n_nodes, c, t] = parameter.deviation * parameter.stated * factor
     return result
+
+
+def softening(
+    parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which stiffnesses fall with the size of what excites a run: ``k exp(growth theta - fall theta)``.
+
+    (B + C, 8) N/m, k as stated, and zero for all else; (B + C, 8, T) growth, by one deviation of each parameter; (R, S,
+    B + C, 8, T) fall, by the root of the stated force, of no run where nothing softens. That root is what trials with a
+    measured base showed (studies/soft_base): softer modes need no other number than this one.
+    """
+    first, n_runs = len(rotor.bearing_nodes), len(dataset.runs)
+    stated = np.zeros((first + rotor.n_ground, len(COEFFICIENTS)))
+    growth = np.zeros((*stated.shape, len(parameters)))
+    softer = [(t, p) for t, p in enumerate(parameters) if p.kind == "base_softening"]
+    fall = np.zeros((n_runs if softer else 0, len(dataset.speeds), *growth.shape))
+    for t, parameter in enumerate(parameters):
+        if parameter.kind in ("support_stiffness", "base_softening"):
+            at = first + parameter.place - rotor.n_nodes, COEFFICIENTS.index("k" + 2 * parameter.detail)
+            if parameter.kind == "support_stiffness":
+                growth[*at, t] = parameter.deviation
+            else:
+                stated[at] = parameter.stated
+                fall[:, :, *at, t] = parameter.deviation * size_excitations(dataset).T
+    return stated, growth, fall

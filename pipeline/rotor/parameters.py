@@ -35,6 +35,7 @@ UNITS = {
     "support_damping": "ln",
     "support_mass": "ln",
     "base_participation": "1/sqrt(kg)",
+    "base_softening": "ln/sqrt(N)",
     "bow": "m",
     "unbalance_magnitude": "",
     "unbalance_phase": "rad",
@@ -80,7 +81,8 @@ class ModelParameter:
     ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
     ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
     ``bearing_position`` moves a bearing along the shaft, and ``base_participation`` a casing in a mode; their matrices
-    stay, and the bearing's places on them change.
+    stay, and the bearing's places on them change. By ``base_softening`` the logarithm of a mode's stiffness falls with
+    the root of the force that excites a run.
     """
 
     kind: str
@@ -88,7 +90,7 @@ class ModelParameter:
     label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
     place: int = 0  # node, position among the run's excitations, channel, bearing, or participation of a base
     detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
-    stated: float = 0.0  # SI, of a support
+    stated: float = 0.0  # SI, of a support, or of what softens
 
     @property
     def name(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from running import GROUNDED
 
 from pipeline.config.rotor import RotorConfig
@@ -12,6 +13,7 @@ from pipeline.data.sensors import NoiseModel, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
+from pipeline.identification.readings import sensor_model
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.slopes import ReadingSlopes
@@ -133,3 +135,44 @@ def test_a_fit_of_exact_readings_gives_base_and_bearings_back() -> None:
         assert numbers == pytest.approx(true, rel=1e-8)
     assert updated.participation == pytest.approx(truth.participation, abs=1e-8 * 0.17)
     assert found.table(films()).values[..., [0, 3, 4, 7]] == pytest.approx(films().values[..., [0, 3, 4, 7]], rel=1e-8)
+
+
+def test_a_base_that_softens_is_the_dense_one_of_its_force() -> None:
+    """Readings at a force of which the logarithm of each mode's stiffness falls by the root, with their derivatives:
+    by softening, by stiffness (which is softened, too) and by participation, against dense matrices.
+    """
+    rotor, w, fall = load_rotor(config()), float(SPEEDS[17]), 0.08
+    data = simulate(rotor, films(), WEIGHTS[:1])
+    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(("kxx",))))
+    parameters = model_parameters(DEVIATIONS | {"base_softening": fall}, rotor, data, films(), unknowns)
+    made = Measurement(rotor, data, films(), NoiseModel(1e-9, 0.0), unknowns, Guess(1e7, 1e4), parameters=parameters)
+    names = [parameter.name for parameter in parameters]
+    theta, places = np.zeros(len(names)), [names.index(f"base_softening mode {r + 1}") for r in range(len(MODES))]
+    theta[places] = 1.0, 0.4, -0.3
+    values = torch.as_tensor(unknowns.to_active(unknowns.leading(films().values)))[None]
+    none, at = torch.zeros(1, 0, dtype=torch.complex128), torch.as_tensor(theta)[None]
+    read, _, _, slopes = sensor_model(made).derive(0, values, none, at)
+    mass, damping, stiffness, seen = dense(w)
+    force, root = np.zeros(len(mass), dtype=complex), np.sqrt(w**2 * WEIGHTS[0].magnitude)
+    force[[12, 13]] = w**2 * WEIGHTS[0].magnitude * np.exp(0.3j) * np.array([1.0, -1.0j])
+    modes = np.arange(len(mass) - len(MODES), len(mass))
+    held = np.array([(2 * np.pi * f) ** 2 for f, _, _ in MODES]) * np.exp(-fall * root * theta[places])
+    stiffness[modes, modes] += held - [(2 * np.pi * f) ** 2 for f, _, _ in MODES]
+    inverse = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
+    moving = inverse @ force
+    shown = [data.channels.index((node, angle)) for node in NODES for angle in DIRECTIONS.values()]
+    rows = [4 * node + d for node in NODES for d in (0, 1)]
+    assert read[0, 17, shown, 0].numpy() == pytest.approx(moving[rows], rel=1e-10)
+    for r, mode in enumerate(modes):
+        by_stiffness = -inverse[np.ix_(rows, [mode])][:, 0] * held[r] * moving[mode]
+        for name, share in (("base_softening", -fall * root), ("support_stiffness", DEVIATIONS["support_stiffness"])):
+            slope = slopes[0, 17, shown, 0, names.index(f"{name} mode {r + 1}")].numpy()
+            assert slope == pytest.approx(share * by_stiffness, rel=1e-9)
+    feels = -seen[:2]
+    feels[[0, 1], [4, 5]] += 1.0
+    k, c = np.array(FILMS[0]).reshape(2, 2, 2)
+    moved = np.zeros_like(feels)
+    moved[0, modes[1]] = -DEVIATIONS["base_participation"]
+    pushed = moved.T @ (k + 1j * w * c) @ feels + feels.T @ (k + 1j * w * c) @ moved
+    by_participation = slopes[0, 17, shown, 0, names.index("base_participation mode 2 at node 9 x")].numpy()
+    assert by_participation == pytest.approx(-(inverse @ pushed @ moving)[rows], rel=1e-9)
