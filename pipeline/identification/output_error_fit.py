@@ -125,8 +125,8 @@ def fit_from(
         problem = with_sigma(problem)
     factor = np.ones(len(start.measurement.dataset.channels))
     minimum: Minimum | None = None
-    exact = False
-    near = near or start.searched is not None
+    exact = start.near
+    near = near or start.near or start.searched is not None
     approach = _LESS_EXACT if problem.places.n_parameters and not near else ()
     selects = not problem.law.laws and not start.by_evidence and start.searched is None
     for turn in range(-len(approach), rounds):

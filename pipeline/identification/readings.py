@@ -288,9 +288,9 @@ class SensorModel:
         """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.problem.model_parameters.softening` has them."""
         import torch
 
-        stated, growth, fall = softening(self.measurement.parameters, self.measurement.rotor, self.whole.dataset)
-        fall = torch.as_tensor(fall).flatten(2, 3)
-        return torch.as_tensor(stated).flatten(), torch.as_tensor(growth).flatten(0, 1), fall
+        every = softening(self.measurement.parameters, self.measurement.rotor, self.whole.dataset)
+        stated, growth, fall = map(torch.as_tensor, every)
+        return stated.flatten(), growth.flatten(0, 1), fall.flatten(2, 3)
 
     def _soften(self, parameters: torch.Tensor, fall: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(G, S, 8 B) N/m that the ``fall`` (S, 8 B, T) of one run changes, and its derivatives (G, S, 8 B, T)."""
@@ -318,7 +318,7 @@ class SensorModel:
         self, b: int, values: torch.Tensor, parameters: torch.Tensor, derivative: bool = True
     ) -> Iterator[_Placed]:
         """Block b at the model parameters: whole, or run by run where bearings or the base differ between the runs; its
-        derivatives by them, which take long, where they are asked for or the parameters are others than it was solved at.
+        derivatives by them, which take long, where they are asked for or the parameters are not those it was solved at.
         """
         import torch
 
@@ -336,7 +336,7 @@ class SensorModel:
         if len(self._drift):
             falls = self._softening[2] if len(self._softening[2]) else nothing.expand(len(self._drift), -1, -1, -1)
             every = [(slice(i, i + 1), self._drift[r], falls[r]) for i, r in enumerate(whole.runs)]
-            parts = [(varied.of_runs(i), variation and variation.of_runs(i), *rest) for i, *rest in every]
+            parts = [(varied.of_runs(i), variation and variation.of_runs(i), scale, fall) for i, scale, fall in every]
         for block, variation, scale, fall in parts:
             factor = 1 + parameters @ scale.mT  # (G, B)
             softer, known = self._soften(parameters, fall)

@@ -34,9 +34,12 @@ from pipeline.ingest.records import to_dataset
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import invert
+from pipeline.rotor.model import translation_dof
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes
 from pipeline.twin.modes import find_modes
 
+TWENTY_GRAMS = 1e-3
+"""kg m, at the radius that examples/mafaulda guesses."""
 MACHINE = Path(__file__).resolve().parents[2] / "examples" / "mafaulda"
 
 
@@ -140,23 +143,32 @@ def join(every: Sequence[Predicted]) -> Predicted:
 
 
 def modes_of(fit: OutputErrorFit, below: float = 400.0, step: float = 1e-3) -> list[dict[str, float]]:
-    """Natural frequencies of rotor and base in Hz, damping ratios and deviations, in the middle of the speeds."""
+    """Natural frequencies of rotor and base in Hz, damping ratios and deviations, at the force of 20 g at each."""
     measurement, covariance = fit.problem.measurement, fit.covariance()
     middle, places = len(measurement.dataset.speeds) // 2, fit.problem.places
+    table = fit.identified.table(measurement.known).at(np.array([middle]))
+    soft = [(t, p) for t, p in enumerate(measurement.parameters) if p.kind == "base_softening"]
 
-    def at(values: np.ndarray) -> np.ndarray:
-        table = fit.identified.table(measurement.known)
-        modes = find_modes(measurement.update(values).updated_rotor, table.at(np.array([middle])))
-        frequency, decrement = modes.frequency[0], modes.logarithmic_decrement[0]
-        return np.stack([frequency, decrement])[:, frequency < below]
+    def at(values: np.ndarray, frequency: float) -> np.ndarray:
+        rotor, root = measurement.update(values).updated_rotor, frequency * np.sqrt(TWENTY_GRAMS)
+        stiffness = rotor.stiffness.copy()
+        for t, p in soft:
+            place = translation_dof(p.place, "xy".index(p.detail))
+            stiffness[place, place] *= np.exp(-values[t] * p.deviation * root)
+        modes = find_modes(replace(rotor, stiffness=stiffness), table)
+        return np.stack([modes.frequency[0], modes.logarithmic_decrement[0]])
 
     values = fit.problem.model_parameters(fit.weights)[0].numpy()
-    best, spread = at(values), covariance[places.parameters, places.parameters]
-    slopes = np.stack([(at(values + step * row) - best)[0] / step for row in np.eye(len(values))], axis=-1)
-    deviation = np.sqrt(np.einsum("kt,ty,ky->k", slopes, spread, slopes)) / (2 * np.pi)
-    names, damping = ("hz", "deviation", "damping_ratio"), best[1] / np.sqrt(4 * np.pi**2 + best[1] ** 2)
-    rows = zip(best[0] / (2 * np.pi), deviation, damping, strict=True)
-    return [dict(zip(names, map(float, row), strict=True)) for row in rows]
+    spread, rows = covariance[places.parameters, places.parameters], []
+    for k in np.flatnonzero(at(values, 2 * np.pi * 20)[0] < below):
+        frequency = 2 * np.pi * 20
+        for _ in range(20):
+            frequency = float(at(values, frequency)[0, k])
+        best = at(values, frequency)[:, k]
+        slopes = np.array([(at(values + step * row, frequency)[0, k] - best[0]) / step for row in np.eye(len(values))])
+        deviation, damping = float(np.sqrt(slopes @ spread @ slopes)), best[1] / np.sqrt(4 * np.pi**2 + best[1] ** 2)
+        rows.append({"hz": best[0] / (2 * np.pi), "deviation": deviation / (2 * np.pi), "damping_ratio": damping})
+    return [{name: float(value) for name, value in row.items()} for row in rows]
 
 
 def main(arguments: list[str]) -> None:
@@ -176,22 +188,24 @@ def main(arguments: list[str]) -> None:
         write_json(Path(given["output"]) / "soft_base.json", report)
         print(what, scores, flush=True)
 
-    say("labels", {p.name: [v * p.deviation, d * p.deviation] for p, v, d in _numbers(fit) if "label" in p.name})
+    def both(predicted: Predicted) -> dict[str, Any]:
+        return {"nothing_read": predicted.scores(names), "label_read": predicted.label_read().scores(names)}
+
+    kinds = ("label_gain", "label_angle", "base_softening")
+    say("numbers", {p.name: [v * p.deviation, d * p.deviation] for p, v, d in _numbers(fit) if p.kind in kinds})
     say("bearings", _bearings(fit))
     if "records" in given:
         other = predict(fit, read(config, given["records"]).dataset)
-        say("other_weights", {"nothing_read": other.scores(names), "label_read": other.label_read().scores(names)})
+        say("other_weights", both(other))
     if "weights" in parts:
         runs, every = [weight.run for weight in data.excitations if weight.magnitude], []
         for run in runs:
             held = np.array(data.runs) == run
             fold = fit_again(fit, keep(data, data.present & ~held), setup)
             every.append(predict(fold, keep(data, data.present & held)))
-            say(f"without {run}", {"nothing_read": every[-1].scores(names), "modes": modes_of(fold)})
-        all_of_them = join(every)
-        say(
-            "weights", {"nothing_read": all_of_them.scores(names), "label_read": all_of_them.label_read().scores(names)}
-        )
+            say(f"without {run}", {**both(every[-1]), "modes": modes_of(fold)})
+        say("weights", both(join(every)))
+        say("weights but the heaviest", both(join(every[:-1])))
     if "fifths" in parts:
         order, every = np.cumsum(data.present.T.ravel()).reshape(data.present.T.shape).T % 5, []
         for i in range(5):

@@ -78,10 +78,13 @@ def measurement() -> Measurement:
     return replace(made, parameters=parameters, values=tuple(0.3 * np.cos(np.arange(len(parameters)))))
 
 
+_OF_GROUND = (*OF_SUPPORT, "base_participation", "base_softening")
+
+
 def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
     """One for each disc, weight, probe and known coefficient."""
     count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in UNITS}
-    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys((*OF_SUPPORT, "base_participation"), 0) | {
+    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys(_OF_GROUND, 0) | {
         "disc_mass": 2,
         "disc_inertia": 2,
         "bearing_position": 2,
