@@ -178,8 +178,7 @@ def test_the_picture_of_the_house_has_no_import_to_the_right() -> None:
 def test_a_package_is_imported_in_its_home_only(package: str) -> None:
     """ROSS behind one module, MLflow behind one package, Optuna in tuning, Hydra at the front door."""
     users = [i for i in imports() if i.root == package]
-    strangers = [str(i) for i in users if not any(i.file.startswith(home) for home in HOMES[package])]
-    assert strangers == []
+    assert [str(i) for i in users if not any(i.file.startswith(home) for home in HOMES[package])] == []
     homes = [home for home in HOMES[package] if (PACKAGE / home).exists()]
     assert [home for home in homes if not any(i.file.startswith(home) for i in users)] == []
 

@@ -142,7 +142,7 @@ def fit_from(
             continue
         before, first_order = problem, exact
         exact = exact or (turn > choice and float(problem.loss(weights)) > (1 + astray) * float(last.loss[0]))
-        if turn == choice and setup.loss.noise == "estimated" and start.searched is None:
+        if turn == choice and setup.loss.noise == "estimated" and not start.searched:
             problem = reshape_noise(problem, weights, factor)
         problem = reweigh(problem, weights, factor, setup.loss.robust)
         if start.searched is not None and setup.loss.noise == "estimated":

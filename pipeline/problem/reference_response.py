@@ -145,27 +145,29 @@ def response_variations(
         pushed, felt, forced = adjoint @ rows.T, rows @ solved, slice(0, len(runs))
         loaded, changes = slice(solved.shape[-1] - count, solved.shape[-1] - len(ground)), []
         for t, parameter in enumerate(parameters):
-            moved = np.zeros((*adjoint.shape[:2], solved.shape[-1]), dtype=complex)
+            variation = np.zeros((*adjoint.shape[:2], solved.shape[-1]), dtype=complex)
             if (change := rotor_change(parameter, rotor)) is not None:
                 at = coupled(change)
-                moved -= parameter.slope(values[t]) * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
+                variation -= (
+                    parameter.slope(values[t]) * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
+                )
             if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
-                moved[..., forced] += adjoint @ force[..., runs]
+                variation[..., forced] += adjoint @ force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
-                moved[..., forced] += (adjoint @ bent)[..., None] * turns[runs]
+                variation[..., forced] += (adjoint @ bent)[..., None] * turns[runs]
             if parameter.kind in MOVED:
                 # With the bearings' rows c on the matrices, D + c' H0 c has the derivative dc' H0 c + c' H0 dc.
                 slopes = parameter.deviation * MOVED[parameter.kind][1](updated, parameter.place)
                 turned = adjoint @ slopes.T
-                moved -= reference * (turned @ felt + pushed @ (slopes @ solved))
-                moved[..., loaded] += turned
-                moved[:, : len(rows)] += slopes @ solved  # the bearings' own motion
+                variation -= reference * (turned @ felt + pushed @ (slopes @ solved))
+                variation[..., loaded] += turned
+                variation[:, : len(rows)] += slopes @ solved  # the bearings' own motion
             if (seen := sensor_change(parameter, dataset, updated, parameters, values)) is not None:
-                moved[:, count:] += seen @ solved
+                variation[:, count:] += seen @ solved
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
                 vector = runout([parameter], np.ones(1), len(dataset.channels))
-                moved[:, count:, forced] += vector[:, None] * turns[runs]
-            changes.append(moved)
+                variation[:, count:, forced] += vector[:, None] * turns[runs]
+            changes.append(variation)
         every = np.stack(changes)
         blocks.append(_split(runs, w, n_planes, every[:, :, :count], every[:, :, count:]))
     return tuple(blocks)

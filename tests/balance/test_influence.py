@@ -62,14 +62,12 @@ def test_intervals_hold_what_they_say(tail: float | None) -> None:
     rng = np.random.default_rng(5)
     held, taken = [], []
     for _ in range(40):
-        machine = truth(rng)
-        conditions = machine.draw(rng, 70, tail)
+        conditions = truth(rng).draw(rng, 70, tail)
         model = fit_influence(conditions.of(range(50)))
         taken.append(model.law != 0)
         rest = conditions.of(range(50, 70))
         mean, own = model.predict(rest.unbalance)
-        variance = np.einsum("cii->ci", own + model.noise.covariance(rest.counts)).real
-        width = model.noise.half_width(variance)
+        width = model.noise.half_width(np.einsum("cii->ci", own + model.noise.covariance(rest.counts)).real)
         error = rest.vectors - mean
         held += [abs(error.real) <= width, abs(error.imag) <= width]
     assert 0.93 < np.mean(held) < 0.97

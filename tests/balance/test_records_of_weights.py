@@ -121,8 +121,7 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
         day = shift_to_day(average_records(records, RIG), RIG, "C000")
         without.append(judge_together(average_records(records, RIG), RIG, 0.01))
         within.append(predict_records(records, day).within[2:])
-        readings = average_records(records, day)
-        estimates = estimate_all(readings, [day] * 5)
+        estimates = estimate_all(average_records(records, day), [day] * 5)
         found.append((np.abs(estimates.unbalance - unbalance) <= estimates.radius)[1:])
     assert np.mean(np.array(without) < 0.01) > 0.9
     assert 0.93 < np.mean(within) < 0.98

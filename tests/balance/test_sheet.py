@@ -111,8 +111,7 @@ def test_the_bands_hold_what_they_say() -> None:
     rig, own = _unbalanced(rng)
     inside, below, within = [], [], []
     for _ in range(300):
-        noise = circular(rng, SIZE) @ rig.truth.root.T
-        shown = predict_one(rig, np.zeros(2, dtype=complex)) + noise
+        shown = predict_one(rig, np.zeros(2, dtype=complex)) + circular(rng, SIZE) @ rig.truth.root.T
         state = State(shown=shown, remove=shown, weights=np.zeros(2, dtype=complex))
         sheet = propose_weights(rig, state, _holes((1e-3, 2e-3), 1))
         truly = own + sheet.correction

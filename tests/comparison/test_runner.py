@@ -197,8 +197,7 @@ FEW_STEPS = [
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
     config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
     own = build_machine(config)
-    sensors = ("bearings", "location")
-    items = [(method, Case(0.01, where, 5)) for where in sensors for method in METHODS]
+    items = [(method, Case(0.01, where, 5)) for where in ("bearings", "location") for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
     assert {result.outcome for result in results} <= {"answered", *REQUIREMENTS}
     for result in results:

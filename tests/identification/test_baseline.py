@@ -132,8 +132,7 @@ def test_intervals_hold_as_often_as_they_say(
         found = fit(measurement := measured(rotor_of, clean, seed), setup)
         deviation = found.deviation(rotor_of.speeds)
         assert deviation is not None
-        off = (found.model.table(measurement.known).values - truth) / deviation
-        over.append(off[:, 0, [0, 3, 4, 7]])
+        over.append(((found.model.table(measurement.known).values - truth) / deviation)[:, 0, [0, 3, 4, 7]])
         square = found.quality.summary["fit"]["chi_square"]
         squares.append(square["value"] / square["expected"])
     spread, within = np.sqrt(np.mean(np.square(over))), 100 * np.mean(np.abs(over) < 1.96)

@@ -180,8 +180,7 @@ def test_loss_never_ends_above_its_start(chain: str, hydrostatic: Machine) -> No
 
 def drawn(model: CoefficientModel, generator: torch.Generator) -> IdentifiedModel:
     """A model with random numbers."""
-    shape = (len(model.scale), model.n_parameters)
-    parameters = torch.randn(*shape, generator=generator, dtype=torch.float64)
+    parameters = torch.randn(len(model.scale), model.n_parameters, generator=generator, dtype=torch.float64)
     return IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
 
 

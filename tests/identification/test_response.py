@@ -217,8 +217,7 @@ def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
 def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: Machine) -> None:
     """Stated at 1 %, it is 2 %; a residual unbalance that the model lacks is no noise, and shows as chi-square."""
     runs = dict.fromkeys(e.run for e in rotor_of.excitations)
-    again = tuple(replace(e, run=f"{e.run}_again") for e in rotor_of.excitations)
-    every = (*rotor_of.excitations, *again)
+    every = (*rotor_of.excitations, *tuple(replace(e, run=f"{e.run}_again") for e in rotor_of.excitations))
     hidden = tuple(Excitation(run, "unbalance", 2, 3e-5, 2.0) for run in (*runs, *(f"{run}_again" for run in runs)))
     clean = replace(simulate(rotor_of.rotor, rotor_of.bearings, (*every, *hidden)), excitations=every)
     sensors = Sensors(list_directions((1, 5)), multiplicative=0.02)

@@ -92,8 +92,7 @@ def test_numbers_as_names_of_runs(base: Config, mine: Path) -> None:
     excitation = stored(pd.read_csv(mine / "excitation.csv").replace({"run": names}), mine / "e.csv")
     for ending in ("csv", "parquet"):
         path = stored(vibration, mine / f"v.{ending}")
-        dataset = read_dataset(path, excitation, assemble(base.machine.rotor))
-        assert dataset.runs == ("007", "NA")
+        assert read_dataset(path, excitation, assemble(base.machine.rotor)).runs == ("007", "NA")
 
 
 EDITS = st.lists(

@@ -54,8 +54,7 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
         told = [json.loads((folder / "training.json").read_text()) for folder in (here, there)]
         assert (told[0]["seed"], told[0]["steps"]) == (seed, told[1]["steps"])
         np.testing.assert_allclose(told[0]["held_out_loss"], told[1]["held_out_loss"], rtol=1e-6)
-        speeds = np.array([100.0, 300.0, 500.0])
-        values = [load_model(folder).values(speeds) for folder in (here, there)]
+        values = [load_model(folder).values(np.array([100.0, 300.0, 500.0])) for folder in (here, there)]
         np.testing.assert_allclose(*values, rtol=1e-6)
         answers.append(values[0])
         tables = [(folder / "vibration.parquet").read_bytes() for folder in (here, there)]

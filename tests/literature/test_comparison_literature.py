@@ -120,7 +120,7 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
     lines = 2 * np.pi * np.array([35.0, 60.0, 85.0, 110.0])
     channels = list_directions(rotor.bearing_nodes)
     sensors = VibrationDataset(np.array([speed]), (), channels, np.zeros((1, 4, 0)), ()).sensor_matrix(rotor)
-    runs, columns, acting, frequencies = [], [], [], []
+    runs, columns, acting = [], [], []
     for direction in (0, 1):
         record = _blown(rotor, impedance, speed, 2, direction) @ sensors.T  # (T, P)
         for w in lines:
@@ -129,24 +129,22 @@ def test_impulse_records_give_all_coefficients_and_the_unbalance() -> None:
             name = f"{direction} {w:.0f}"
             runs.append(name)
             columns.append(wave @ record)
-            frequencies.append(w)
             # A force along one direction is half a forward and half a backward one.
-            turn = 0.0 if direction == 0 else np.pi / 2
             for whirl, sign in (("forward", 1), ("backward", -1)):
-                phase = np.angle(size) + sign * turn
-                acting.append(Excitation(name, "force", 2, abs(size) / 2, phase, whirl))
+                acting.append(
+                    Excitation(name, "force", 2, abs(size) / 2, np.angle(size * 1j ** (sign * direction)), whirl)
+                )
     runs.append("weight")
     known = Excitation("weight", "unbalance", 4, 1e-4, 0.3)
     hidden = Excitation("weight", "unbalance", 2, abs(UNBALANCE), float(np.angle(UNBALANCE)))
     columns.append(sensors @ solve_response(rotor, truth, (known, hidden), ("weight",))[0, :, 0])
-    frequencies.append(speed)
     dataset = VibrationDataset(
         np.array([speed]),
         tuple(runs),
         channels,
         np.stack(columns, axis=1)[None],
         (*acting, known),
-        np.array([frequencies]),
+        np.array([[*lines, *lines, speed]]),
     )
     template = task(Case(0.001, "bearings", 12), *BLOWS)
     own = Measurement(

@@ -144,8 +144,7 @@ def test_compressor_rotor_response() -> None:
     assert rotor.total_mass == pytest.approx(95.277, abs=1e-3)
     table = dtu_bearings(np.array([600.0, 1500.0, 3000.0, 6000.0]))
     q = solve_response(rotor, table, (Excitation("a", "unbalance", 5, 1.6e-4, 0.0),), ("a",))
-    places = [translation_dof(node, direction) for node in (5, 8) for direction in (0, 1)]
-    found = 1e6 * np.abs(q[:, places, 0])
+    found = 1e6 * np.abs(q[:, [translation_dof(node, direction) for node in (5, 8) for direction in (0, 1)], 0])
     published = [
         [0.0594, 0.0976, 0.0425, 0.0749],
         [0.3836, 0.5203, 0.2757, 0.3998],

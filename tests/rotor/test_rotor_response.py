@@ -155,9 +155,7 @@ def test_jeffcott_critical_speed() -> None:
     """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's mass (0.003 %) may lower it by 1e-5."""
     expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
     speeds = expected * np.linspace(0.8, 1.2, 8)
-    rotor = jeffcott(1.0)
-    table = bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)
-    found = find_critical_speeds(find_modes(rotor, table))
+    found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
     assert len(found) == 2  # forward and backward, the same without gyroscopic effect
     assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
 
@@ -188,8 +186,7 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
         assert found[::2] == pytest.approx(found[1::2], rel=1e-7)
         errors.append(found[::2] / exact - 1)
     assert (np.array(errors) > 0).all()  # a conforming element is too stiff
-    rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert rates == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
+    assert np.log2(np.array(errors[:-1]) / np.array(errors[1:])) == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
 
 
 PHASES = st.floats(-math.pi, math.pi)
@@ -342,8 +339,7 @@ def test_rigid_body_without_bearings_is_free(hydrostatic: Machine) -> None:
 def test_rigid_rotor_far_above_its_critical_speeds() -> None:
     """A free rotor turns about its centre of mass: with U at its middle, Q there tends to -U / m."""
     shaft = {"length": 0.2, "outer_diameter": 0.1, "elements": 2}
-    config = {"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}
-    rotor = assemble(RotorConfig.model_validate(config))
+    rotor = assemble(RotorConfig.model_validate({"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}))
     table = bearings_of((0, 2), np.array([6000.0]) * RAD_S_PER_RPM, kxx=100.0, kyy=100.0)
     q = solve_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
     assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)

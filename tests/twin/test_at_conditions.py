@@ -104,14 +104,12 @@ def test_bands_grow_outside_the_measured_temperatures(warm: tuple) -> None:
     measurement, found = warm
     spread = {}
     for celsius in (45.0, 55.0, 65.0, 80.0):
-        there = table_at(measurement.known, {"oil_temperature": celsius + 273.15}, KEY)
-        table = found.table(there)
+        table = found.table(table_at(measurement.known, {"oil_temperature": celsius + 273.15}, KEY))
         deviation = found.deviation(table.speeds, table.operating)
         true = warm_bearings(table.speeds, np.full(len(SPEEDS), celsius)).values[..., [0, 3, 4, 7]]
         share = (deviation / np.abs(table.values))[..., [0, 3, 4, 7]]
         spread[celsius] = share
-        off = np.abs(table.values[..., [0, 3, 4, 7]] / true - 1.0)
-        assert np.mean(off < 3 * share) > 0.9
+        assert np.mean(np.abs(table.values[..., [0, 3, 4, 7]] / true - 1.0) < 3 * share) > 0.9
     inside = np.max([spread[45.0], spread[55.0], spread[65.0]], axis=0)
     assert (np.median(spread[80.0], axis=1) > np.median(inside, axis=1)).all()
 

@@ -42,8 +42,7 @@ def test_modes_equal_those_of_the_dense_pencil(name: str, request: pytest.Fixtur
     for s in range(3):
         stiffness, damping = system(machine.rotor, picked, s)
         left = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
-        right = np.block([[np.eye(n), np.zeros((n, n))], [np.zeros((n, n)), mass]])
-        values = scipy.linalg.eigvals(left, right)
+        values = scipy.linalg.eigvals(left, np.block([[np.eye(n), np.zeros((n, n))], [np.zeros((n, n)), mass]]))
         upper = values[values.imag > 1.0]
         upper = upper[np.argsort(upper.imag)][:6]
         np.testing.assert_allclose(modes.frequency[s], upper.imag, rtol=1e-7)
@@ -143,8 +142,7 @@ def test_critical_speeds_of_the_ball_bearing_rotor(machine: MachineFactory) -> N
     # There the response peaks: the largest of each direction stands within a step of a critical speed.
     for direction in (0, 1):
         amplitude = np.abs(made.response[:, 4 + direction, 0])
-        peak = made.speeds[amplitude.argmax()]
-        assert np.abs(peak - expected).min() <= 20 * RAD_S_PER_RPM
+        assert np.abs(made.speeds[amplitude.argmax()] - expected).min() <= 20 * RAD_S_PER_RPM
 
 
 def made_modes(speeds: np.ndarray, *lines: np.ndarray) -> WhirlModes:
