@@ -148,7 +148,8 @@ def _temper(
     shares), with the rotor solved at each step: shapes of a base are far from what is stated of them, where no first
     order holds.
     """
-    limited, ends = config.model_copy(update={"steps": 25, "initial_damping": 1e-2}), []
+    limited = config.model_copy(update={"steps": 25, "initial_damping": 1e-2})
+    ends: list[tuple[float, torch.Tensor]] = []
     for start, shares in product(starts, ways):
         weights = start[None]
         for share in shares:
