@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 246,
     "ingest": 1479,
     "problem": 1706,
-    "identification": 2859,
+    "identification": 2862,
     "evaluation": 216,
     "twin": 467,
     "balance": 674,
@@ -44,7 +44,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18294, 14500),
+    "statements of pipeline/": (18297, 14500),
     "files": (240, 250),
     "classes": (319, 260),
     "is None, is not None": (336, 420),

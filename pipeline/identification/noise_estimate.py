@@ -10,6 +10,7 @@ Legend: Z weights, S speeds, P channels, R runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,22 +29,23 @@ def reshape_noise(
     tried: Sequence[float] = (1.0, 0.01, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0, 100.0),
     sure: float = 6.0,
     small: float = 0.25,
+    large: float = 100.0,
 ) -> OutputError:
     """The problem with the noise whose floor beside its share is likeliest, about the weights (1, 1, Z): so many times
     as large as stated (``tried``, what is stated first).
 
     ``factor`` (P,) is each channel's noise over the stated one. The noise stays as it is where twice the logarithm of
-    the likelihood gains less than ``sure``, where what is left over is ``small`` beside it, and where floor or share is
-    none.
+    the likelihood gains less than ``sure``, where what is left over is ``small`` beside it, or so ``large`` beside the
+    stated one (mean squares) that it is no noise but a mistake, and where floor or share is none.
     """
-    measurement = problem.measurement
+    measurement, predicted = problem.measurement, problem.predicted(weights)
     noise, data = measurement.noise, measurement.dataset
     if measurement.drift or not noise.additive or not noise.multiplicative or _leave_over(problem, weights)[1] < small:
         return problem
-    predicted, read = (
-        problem.predicted(weights),
-        (data.displacement + measurement.baseline).swapaxes(1, 2)[data.present],
-    )
+    stated = replace(problem, readings=problem.readings.follow(predicted))
+    if not _leave_over(stated, weights)[1] < large:
+        return problem
+    read = (data.displacement + measurement.baseline).swapaxes(1, 2)[data.present]
     others = [problem.with_noise(noise.reshaped(ratio, read), predicted, factor) for ratio in tried]
     criteria = []
     for other in others:
