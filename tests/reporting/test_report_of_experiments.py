@@ -179,7 +179,7 @@ def list_contradictions(folder: Path) -> list[str]:
         "THE MODEL IS REJECTED", said
     )
     wrong += bad if re.search(r"The model and the [a-z ]*noise[a-z ]* explain the readings", said) else []
-    if (ratio := re.search(r"the readings lie ([\d.]+) times as far off as their noise\b", said)) is not None:
+    if (ratio := re.search(r"the readings lie ([\d.]+) times as far off as their noise(?:\.| \()", said)) is not None:
         probes = [float(row[2]) for row in rows if len(row) == 3 and re.fullmatch(r"[\d.]+", row[2]) and row[0] in said]
         away = pytest.approx(float(np.sqrt(np.mean(np.square(probes)))), rel=0.3, abs=0.02)
         wrong += [f"{ratio[0]}, {probes}"] if float(ratio[1]) != away else []
