@@ -27,7 +27,7 @@ STATEMENTS = {
     "sweep": 246,
     "ingest": 1479,
     "problem": 1706,
-    "identification": 2862,
+    "identification": 2865,
     "evaluation": 216,
     "twin": 467,
     "balance": 674,
@@ -39,12 +39,12 @@ STATEMENTS = {
     "reporting": 2488,
     "tracking": 351,
     "stages": 1122,
-    "beside the rooms": 568,
+    "beside the rooms": 569,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18297, 14500),
+    "statements of pipeline/": (18301, 14500),
     "files": (240, 250),
     "classes": (319, 260),
     "is None, is not None": (336, 420),

@@ -96,6 +96,7 @@ def run_all(
     if min(workers, len(each)) <= 1:
         yield from enumerate(map(function, each))
         return
+    others = multiprocessing.active_children()
     shared, context = share_threads(threads, workers), multiprocessing.get_context("spawn")  # torch survives no fork
     with ProcessPoolExecutor(min(workers, len(each)), context, _begin_worker, (shared,)) as pool:
         try:
@@ -109,7 +110,7 @@ def run_all(
                 f"on, with {less} for less memory"
             ) from None
         except BaseException:
-            processes = list(pool._processes.values())
+            processes = [process for process in multiprocessing.active_children() if process not in others]
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.terminate()

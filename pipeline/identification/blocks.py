@@ -35,34 +35,42 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Places:
-    """Where each block lies among the weights, and how large it is; one that is not there has the size 0."""
+    """Where each block lies among the weights; one that is not there has the size 0."""
 
-    coefficients: slice  # the weights of what coefficients are functions of: functions, or networks
-    numbers: slice  # theta: numbers of bearing laws, as logarithms over their guesses
-    planes: slice  # real and imaginary part of each plane's residual unbalance
-    parameters: slice  # uncertain numbers of rotor, weights and probes, in prior deviations
-    n_coefficients: int
-    n_numbers: int
-    n_planes: int  # of two parts each
-    n_parameters: int
-    n_rest: int  # how many follow the coefficients' weights
+    n_coefficients: int  # weights of the coefficients' functions, or of networks
+    n_numbers: int = 0  # of bearing laws
+    n_planes: int = 0  # of residual unbalance: two parts each
+    n_parameters: int = 0  # uncertain numbers of rotor, weights and probes
 
+    @property
+    def coefficients(self) -> slice:
+        """The weights of what coefficients are functions of."""
+        return slice(0, self.n_coefficients)
 
-def lay_out(n_coefficients: int, n_numbers: int, n_planes: int, n_parameters: int) -> Places:
-    """The blocks one after the other."""
-    ends = np.cumsum([n_coefficients, n_numbers, 2 * n_planes, n_parameters]).tolist()
-    coefficients, numbers, planes, parameters = map(slice, [0, *ends[:-1]], ends)
-    return Places(
-        coefficients,
-        numbers,
-        planes,
-        parameters,
-        n_coefficients=n_coefficients,
-        n_numbers=n_numbers,
-        n_planes=n_planes,
-        n_parameters=n_parameters,
-        n_rest=ends[-1] - n_coefficients,
-    )
+    @property
+    def numbers(self) -> slice:
+        """Theta: numbers of bearing laws, as logarithms over their guesses."""
+        return slice(self.n_coefficients, self.n_coefficients + self.n_numbers)
+
+    @property
+    def planes(self) -> slice:
+        """Real and imaginary part of each plane's residual unbalance."""
+        return slice(self.numbers.stop, self.numbers.stop + 2 * self.n_planes)
+
+    @property
+    def parameters(self) -> slice:
+        """Model parameters, in prior deviations."""
+        return slice(self.planes.stop, self.size)
+
+    @property
+    def n_rest(self) -> int:
+        """How many follow the coefficients' weights."""
+        return self.n_numbers + 2 * self.n_planes + self.n_parameters
+
+    @property
+    def size(self) -> int:
+        """Z."""
+        return self.n_coefficients + self.n_rest
 
 
 @dataclass(frozen=True, eq=False)

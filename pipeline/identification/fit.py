@@ -179,13 +179,13 @@ class OutputErrorLoss:
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
         model = start.problem.identified(start.weights[:1])
-        precision = start.searched.precision if start.searched and setup.loss.noise == "estimated" else 1.0
+        kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
+        kind, precision = "bearing laws of few numbers" if measurement.laws else kind, 1.0
+        if start.searched and setup.loss.noise == "estimated":
+            precision = start.searched.precision
+            kind += f", whose readings show {1 / precision:.2g} times that noise"
         expected = expect_uncertainty(start, precision)
         spread = expected.deviation(model, measurement.known.speeds, measurement.known.operating)
-        kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
-        kind = "bearing laws of few numbers" if measurement.laws else kind
-        if not 0.8 < precision < 1.25:
-            kind += f", whose readings show {1 / precision:.2g} times that noise"
         return Deviations(model.table(measurement.known), spread, kind)
 
     def fit(

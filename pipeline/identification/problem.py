@@ -38,7 +38,6 @@ from pipeline.identification.blocks import (
     Places,
     Prior,
     law_term,
-    lay_out,
     no_prior,
     select_active,
     slopes_by_weights,
@@ -95,12 +94,12 @@ class OutputError(LeastSquares):
     def places(self) -> Places:
         """Where each block lies among the weights."""
         n_planes, n_parameters = len(self.measurement.unknowns.planes), len(self.measurement.parameters)
-        return lay_out(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
+        return Places(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
 
     @property
     def size(self) -> int:
         """Z."""
-        return int(self.places.parameters.stop)
+        return self.places.size
 
     @property
     def n_fitted(self) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.blocks import Places, law_term, lay_out, select_active, slopes_by_weights
+from pipeline.identification.blocks import Places, law_term, select_active, slopes_by_weights
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model_error import (
@@ -149,7 +149,7 @@ class Uncertainty:
         coefficients = len(self.active) * (self.weights.shape[-1] + self.n_local)
         n_planes, n_parameters = len(self.planes), len(self.parameters)
         numbers = len(self.covariance) - coefficients - 2 * n_planes - n_parameters
-        return lay_out(coefficients, numbers, n_planes, n_parameters)
+        return Places(coefficients, numbers, n_planes, n_parameters)
 
     @property
     def machine_covariance(self) -> np.ndarray:
