@@ -106,8 +106,8 @@ def run_all(
                 yield futures[future], future.result()
         except BrokenProcessPool:
             raise PipelineError(
-                "every process must live, but one was killed (too little memory?): run the same command again to go "
-                f"on, with {less} for less memory"
+                "every process must live, but one was killed (too little memory?): run the same command again, with "
+                f"{less} for less memory"
             ) from None
         except BaseException:
             processes = [process for process in multiprocessing.active_children() if process not in others]
