@@ -25,7 +25,7 @@ from pipeline.problem.measurement import Measurement
 
 def dense_jacobian(problem: OutputError, weights: torch.Tensor) -> torch.Tensor:
     """(rows + N, Z) derivative of the rows of one state, as they order them: :meth:`normal` does without it."""
-    return torch.cat([problem.columns(weights)[0, :, :-1], problem.prior.rows.reshape(-1, problem.size)])
+    return torch.cat([problem.columns(weights)[0, :, :-1], problem.prior.rows.reshape(-1, problem.places.size)])
 
 
 def optimizer(

@@ -24,9 +24,9 @@ from pipeline.evaluation.errors import (
     measure_unmeasured,
 )
 from pipeline.identification.answer import conclude
-from pipeline.identification.fit import fit_sensors
 from pipeline.identification.identified import answer_of
 from pipeline.identification.linear_start import start_at
+from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.quality import MISMATCH
 from pipeline.identification.training import FitSetup, Minimum
 from pipeline.problem.measurement import Measurement
@@ -121,7 +121,7 @@ def refit(
 ) -> Refit:
     """Identify a measurement of the modelled ``machine``, whose coefficients are the ``truth``, and ``elsewhere`` at
     conditions that no run has."""
-    sensors = fit_sensors(measurement, setup)
+    sensors = fit_output_error(measurement, setup)
     fitted, unknowns = conclude(sensors), measurement.unknowns
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
     deviation = answer.deviation_at(truth)

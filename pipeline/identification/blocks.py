@@ -97,13 +97,6 @@ class Prior:
         return self.rows.T @ self.rows
 
 
-def no_prior() -> Prior:
-    """Nothing is known."""
-    import torch
-
-    return Prior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
-
-
 # --- coefficients over a basis ---------------------------------------------------------------------------
 
 

@@ -103,7 +103,7 @@ def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(A, Z) change of each constant, as a share of itself, by the weights."""
     slopes = problem.unknown_slopes(weights)[0, 0]
     shares = slopes / np.abs(problem.unknowns(weights)[0][0, 0].numpy())[:, None]
-    return np.pad(shares, ((0, 0), (0, problem.size - shares.shape[1])))
+    return np.pad(shares, ((0, 0), (0, problem.places.size - shares.shape[1])))
 
 
 def _directions(relative: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,6 @@ Nothing else asks which loss a configuration names. ``residual``: the residual o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from pipeline.config.identification import (
@@ -20,17 +18,13 @@ from pipeline.config.identification import (
     TrainingConfig,
 )
 from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
-from pipeline.identification.blocks import for_model
 from pipeline.identification.identified import Fit
-from pipeline.identification.training import FitSetup, Outcome, Progress, minimise
+from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
 from pipeline.problem.identifiability import Solvability, require_identifiable
 from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
-
-if TYPE_CHECKING:
-    from pipeline.identification.output_error_fit import OutputErrorFit
 
 
 def fit(
@@ -173,20 +167,19 @@ class OutputErrorLoss:
         from pipeline.identification.output_error_start import prepare_output_error
         from pipeline.identification.uncertainty import expect_uncertainty
 
-        measurement = for_model(measurement, setup)
         solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
-        if not measurement.laws and not (solvable and diagnosis.by_least_squares):
+        if not setup.model.has_laws and not (solvable and diagnosis.by_least_squares):
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
         model = start.problem.identified(start.weights[:1])
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
-        kind, precision = "bearing laws of few numbers" if measurement.laws else kind, 1.0
+        kind, precision = "bearing laws of few numbers" if setup.model.has_laws else kind, 1.0
         if start.searched and setup.loss.noise == "estimated":
             precision = start.searched.precision
             kind += f", whose readings show {1 / precision:.2g} times that noise"
         expected = expect_uncertainty(start, precision)
-        spread = expected.deviation(model, measurement.known.speeds, measurement.known.operating)
-        return Deviations(model.table(measurement.known), spread, kind)
+        table = model.table(measurement.known)
+        return Deviations(table, expected.deviation(model, table.speeds, table.operating), kind)
 
     def fit(
         self,
@@ -197,27 +190,13 @@ class OutputErrorLoss:
     ) -> Fit:
         """The fit by its rounds of precisions; a ``diagnosis`` at hand is not made again. Raises as :func:`fit`."""
         from pipeline.identification.answer import conclude
+        from pipeline.identification.output_error_fit import fit_output_error
 
-        measurement = for_model(measurement, setup)
-        if not setup.force and measurement.laws:
+        if not setup.force and setup.model.has_laws:
             require_temperatures(measurement.laws, measurement.dataset.operating)
         elif not setup.force:
             require_identifiable((diagnosis or self.diagnose(measurement, setup)).reports)
-        return conclude(fit_sensors(measurement, setup, progress))
-
-
-def fit_sensors(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
-    """The fit of :class:`OutputErrorLoss`, with the problem that it solved. Raises as its ``fit``."""
-    from pipeline.identification.output_error_fit import fit_output_error
-    from pipeline.identification.trained_fit import train_hidden
-    from pipeline.identification.trained_network import train_from_nodes
-
-    output_error = fit_output_error(measurement, setup, progress)
-    if output_error.minimum.outcomes[0] is Outcome.INTERRUPTED:
-        return output_error
-    if setup.model.network:
-        return train_from_nodes(output_error, setup, progress)
-    return train_hidden(output_error, setup, progress) if setup.loss.hidden == "trained" else output_error
+        return conclude(fit_output_error(measurement, setup, progress))
 
 
 _LABELS = {

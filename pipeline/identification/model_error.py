@@ -107,7 +107,7 @@ def measure_error(problem: OutputError, weights: torch.Tensor) -> MeanSquareErro
 
 def noise_alone(problem: OutputError, covariance: np.ndarray) -> MeanSquareError:
     """The error where nothing but the ``covariance`` (Z, Z) is known of it."""
-    return MeanSquareError(covariance, np.arange(problem.size), 0)
+    return MeanSquareError(covariance, np.arange(problem.places.size), 0)
 
 
 def _expand(
@@ -178,7 +178,7 @@ def measure_tolerances(problem: OutputError, weights: torch.Tensor, places: np.n
     Args:
         places: (Z,) where the weights lie among the ``size`` ones of the answer.
     """
-    tolerances, count = problem.measurement.tolerances, problem.size
+    tolerances, count = problem.measurement.tolerances, problem.places.size
     kinds = np.array([list(USUAL).index(tolerance.kind) for tolerance in tolerances], dtype=np.int64)
     moves = np.zeros((size, len(tolerances)))
     if not tolerances:

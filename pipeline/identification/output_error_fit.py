@@ -23,6 +23,7 @@ from pipeline.identification.problem import OutputError
 from pipeline.identification.selection import add_features, drop_features, weigh_by_evidence, with_sigma
 from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, minimise
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import join_runs
 
 if TYPE_CHECKING:
     import torch
@@ -66,14 +67,21 @@ class OutputErrorFit:
 
 
 def fit_output_error(measurement: Measurement, setup: FitSetup, progress: Progress | None = None) -> OutputErrorFit:
-    """Fit, weigh the readings anew, and fit again until the precisions stay.
+    """Prepare the fit and solve it: :func:`fit_from`, and then the hidden layers where they are trained, too.
 
     Ctrl-C ends it with the best state so far. Raises ConfigError as :func:`prepare_output_error`, and where a
     coefficient ran off to zero.
     """
+    from pipeline.identification.trained_fit import train_hidden
+    from pipeline.identification.trained_network import train_from_nodes
+
     fit = fit_from(prepare_output_error(measurement, setup), setup, progress)
     _refuse_lost(fit)
-    return fit
+    if fit.minimum.outcomes[0] is Outcome.INTERRUPTED:
+        return fit
+    if setup.model.network:
+        return train_from_nodes(fit, setup, progress)
+    return train_hidden(fit, setup, progress) if setup.loss.hidden == "trained" else fit
 
 
 def _refuse_lost(fit: OutputErrorFit, nothing: float = 1e-60) -> None:
@@ -107,7 +115,8 @@ def fit_from(
     least_noise: float = 0.1,
     astray: float = 1e-2,
 ) -> OutputErrorFit:
-    """:func:`fit_output_error` from a start that is prepared; from one ``near`` the answer at the full precision.
+    """Fit, weigh the readings anew, and fit again until the precisions stay; from a start ``near`` the answer at the
+    full precision.
 
     Args:
         rounds: at most so many, until no precision changes by more than ``settled``.
@@ -156,7 +165,8 @@ def fit_from(
             if float(chosen.loss(restart)) <= no_worse * float(problem.loss(weights)):
                 problem, weights = chosen, restart
         if turn == choice and selects:
-            problem = problem.with_prior(setup.loss.beyond_trend)
+            n_speeds = problem.features.shape[1]
+            problem = replace(problem, precision=problem.basis.prior_precision(n_speeds, setup.loss.beyond_trend))
         if turn > choice and exact == first_order and _change(problem, before) < settled:
             break
     assert minimum is not None, "there are rounds"
@@ -203,9 +213,8 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     The squared modulus of circular noise has the median ln 2; the weights took their share of the rest.
     """
     data, readings = problem.measurement.dataset, problem.readings
-    off = np.empty(data.displacement.shape)
-    for b, predicted in enumerate(problem.predicted(weights)):
-        off[..., readings.runs[b]] = readings.departure(b, predicted[0].numpy())
+    blocks = [readings.departure(b, block.numpy())[0] for b, block in enumerate(problem.predicted(weights))]
+    off = join_runs(readings.runs, blocks)
     squared = np.nanmedian(np.where(data.present[:, None], off, np.nan) ** 2, axis=(0, 2)) / np.log(2.0)
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest

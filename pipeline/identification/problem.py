@@ -25,7 +25,7 @@ planes, T model parameters, Z = A K + Th + 2 N + T weights.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
@@ -38,16 +38,15 @@ from pipeline.identification.blocks import (
     Places,
     Prior,
     law_term,
-    no_prior,
     select_active,
     slopes_by_weights,
 )
 from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.model import CoefficientModel
 from pipeline.identification.optimizers import LeastSquares
 from pipeline.identification.readings import Readings, SensorModel, gather_readings, sensor_model
 from pipeline.problem.baseline import find_baseline
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.response import join_runs
 from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ class OutputError(LeastSquares):
     scale: torch.Tensor  # (M, 1, U) what outputs of 1 stand for, N/m and N s/m
     plane_scale: float  # kg m that a weight of 1 stands for
     law: LawTerm  # what the model's outputs correct
-    functions: Prior = field(default_factory=no_prior)  # of the coefficients' weights: as functions of the speed
+    functions: Prior  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
     exact: bool = False  # the rotor is solved for any weights (1, 1, Z), not to first order about those of the last
     carried: ClassVar = ("ask", "ak")  # axes of the carrier, where an output has its own weights, and of the numbers
@@ -79,11 +78,6 @@ class OutputError(LeastSquares):
     def measurement(self) -> Measurement:
         """Where the readings are from."""
         return self.sensors.measurement
-
-    @property
-    def model(self) -> CoefficientModel:
-        """What the weights are the output layer of."""
-        return self.basis.model
 
     @property
     def active(self) -> tuple[tuple[int, int], ...]:
@@ -97,14 +91,9 @@ class OutputError(LeastSquares):
         return Places(self.kept.numel(), self.law.n_numbers, n_planes, n_parameters)
 
     @property
-    def size(self) -> int:
-        """Z."""
-        return self.places.size
-
-    @property
     def n_fitted(self) -> int:
         """How many weights are fitted: Z less the features that are not kept, and less the unspent ones."""
-        return int(self.kept.sum()) + self.places.n_rest - self.n_unspent
+        return int(self.fitted().sum()) - self.n_unspent
 
     def fitted(self) -> torch.Tensor:
         """(Z,) bool: which weights are fitted."""
@@ -130,7 +119,7 @@ class OutputError(LeastSquares):
         if guess.within is not None:
             sizes = guess.sizes(unknowns)
             for a, (m, u) in enumerate(unknowns.active):
-                positive, share = self.model.positive[u], float(sizes[m, u] / self.scale[m, 0, u])
+                positive, share = self.basis.model.positive[u], float(sizes[m, u] / self.scale[m, 0, u])
                 deviation = np.log(guess.within) if positive else guess.within * share
                 row = torch.zeros(len(self.active), self.features.shape[-1], dtype=precision.dtype)
                 row[a] = self._carrier[a].mean(0) / deviation
@@ -186,14 +175,14 @@ class OutputError(LeastSquares):
         """(G, S, A) active unknowns in N/m and N s/m, their derivatives (G, S, A, A) by the model's outputs, and
         (G, S, A, Th) those by theta; derivatives of nothing (S is 0) where they may be left out (no ``slopes``).
         """
-        every = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale, slopes)
+        every = self.law.correct(self.basis.model, self.theta(weights), self.outputs(weights), self.scale, slopes)
         return select_active(self.active, *every)
 
     def weigh(self, count: int = 1, **blocks: torch.Tensor) -> torch.Tensor:
         """(G, 1, Z) weights of ``count`` starts, from ``blocks`` by their names in :class:`Places`; else zero."""
         import torch
 
-        weights = torch.zeros(count, 1, self.size, dtype=torch.float64)
+        weights = torch.zeros(count, 1, self.places.size, dtype=torch.float64)
         for name, block in blocks.items():
             weights[:, 0, getattr(self.places, name)] = block
         return weights
@@ -207,16 +196,15 @@ class OutputError(LeastSquares):
 
     def displacement(self, weights: torch.Tensor) -> np.ndarray:
         """(S, P, R) m as the data set has them, of the weights (1, 1, Z)."""
-        read = np.empty_like(self.measurement.dataset.displacement)
-        for runs, predicted in zip(self.readings.runs, self.predicted(weights), strict=True):
-            read[..., runs] = predicted[0].numpy()
-        return read
+        return join_runs(self.readings.runs, [predicted[0].numpy() for predicted in self.predicted(weights)])
 
     def deviations(self, weights: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) complex of every block, whitened: predicted minus measured, of unit variance in each part."""
-        readings = self.readings
-        every = [readings.subtract_from(b, predicted)[..., None] for b, predicted in enumerate(self.predicted(weights))]
-        return [readings.mix(b, readings.whiten(b, off))[..., 0] for b, off in enumerate(every)]
+        readings, whitened = self.readings, []
+        for b, predicted in enumerate(self.predicted(weights)):
+            off = (predicted - readings.measured[b]) * readings.precision[b]
+            whitened.append(readings.mix(b, readings.whiten(b, off[..., None]))[..., 0])
+        return whitened
 
     def _local(self, weights: torch.Tensor) -> Iterator[torch.Tensor]:
         """(G, S, P, R, A + Th + 2 N + T + 1) complex rows of each block: derivatives of the readings over their own
@@ -283,7 +271,7 @@ class OutputError(LeastSquares):
 
         readings = self.readings
         # Noise may tie more than neighbouring speeds at which every run was measured.
-        if readings.mixing or (readings.tied and not self.measurement.dataset.complete):
+        if readings.mixing or (readings.correlation and not self.measurement.dataset.complete):
             columns = self.columns(weights)
             return columns.mT @ columns
         local = torch.cat([rows.flatten(2, 3) for rows in self._local(weights)], dim=2)
@@ -359,7 +347,7 @@ class OutputError(LeastSquares):
         """The coefficients of ``weights`` (1, 1, Z) at any speed."""
         measurement, parameters, theta = self.measurement, self.parameters(weights)[0], self.theta(weights)[0]
         nodes = measurement.rotor.bearing_nodes
-        return IdentifiedModel(self.model, measurement.unknowns, nodes, parameters, measurement.laws, theta)
+        return IdentifiedModel(self.basis.model, measurement.unknowns, nodes, parameters, measurement.laws, theta)
 
     def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
@@ -388,10 +376,6 @@ class OutputError(LeastSquares):
 
     # --- other data ----------------------------------------------------------------------------------
 
-    def with_prior(self, beyond_trend: float) -> OutputError:
-        """The same with the prior of the basis, which is this wide."""
-        return replace(self, precision=self.basis.prior_precision(self.features.shape[1], beyond_trend))
-
     def scaled(self, share: torch.Tensor | float) -> OutputError:
         """The same with readings whose precision is this ``share`` of what it was."""
         return replace(self, readings=self.readings.scaled(share))
@@ -410,7 +394,7 @@ class OutputError(LeastSquares):
 
     def with_baseline(self, weights: torch.Tensor) -> OutputError:
         """The same with the machine's unbalance as the weights (1, 1, Z) make it of the baseline that was taken off."""
-        made = self.law.correct(self.model, self.theta(weights), self.outputs(weights), self.scale)[0]
+        made = self.law.correct(self.basis.model, self.theta(weights), self.outputs(weights), self.scale)[0]
         measurement, values = self.measurement, self.model_parameters(weights)[0].numpy()
         found = find_baseline(measurement.update(values), measurement.table(made[0].numpy()))
         return replace(self, sensors=sensor_model(measurement.with_as_found(found))) if found else self
@@ -448,6 +432,7 @@ def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> 
         kept=torch.ones(len(measurement.unknowns.active), basis.n_features, dtype=torch.bool),
         precision=torch.zeros(basis.n_features, dtype=torch.float64),
         scale=basis.model.scale_tensor(),
+        functions=Prior(torch.zeros(0, 0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)),
         plane_scale=plane_scale,
         law=law_term(measurement.laws, measurement.unknowns, points),
     )

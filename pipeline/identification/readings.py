@@ -23,6 +23,7 @@ from pipeline.problem.response import (
     derive,
     derive_by_parameters,
     impedance_change,
+    join_runs,
     respond,
 )
 from pipeline.rotor.bearing_table import BearingTable
@@ -59,10 +60,6 @@ class Readings:
         }
         return replace(self, **parts)
 
-    def subtract_from(self, b: int, predicted: torch.Tensor) -> torch.Tensor:
-        """(G, S, P, R) predicted less measured readings of block b, weighed by the noise of their own."""
-        return (predicted - self.measured[b]) * self.precision[b]
-
     def whiten(self, b: int, rows: torch.Tensor) -> torch.Tensor:
         """Rows (G, S, P, R, n) of block b over each reading's own noise, without what runs share: with the deviations u
         of a subtracted baseline their covariance is 1 + u u', whose inverse root takes a part along u away.
@@ -77,11 +74,6 @@ class Readings:
             u = self.common[b][..., None]
             rows = rows - _share(u, 3) * u * (u * rows).sum(3, keepdim=True)
         return rows
-
-    @property
-    def tied(self) -> bool:
-        """Whether noise ties speeds together."""
-        return bool(self.mixing) or self.correlation > 0
 
     def mix(self, b: int, rows: torch.Tensor) -> torch.Tensor:
         """Rows (G, S, P, R, n) that are :meth:`whiten`-ed, without what noise in levels shares over probes and speeds
@@ -425,10 +417,8 @@ def read_answer(measurement: Measurement, bearings: BearingTable, unbalance: np.
     """
     import torch
 
-    unknowns, result = measurement.unknowns, np.empty_like(measurement.dataset.displacement)
+    unknowns = measurement.unknowns
     model, planes = sensor_model(measurement), np.zeros(len(unknowns.planes)) if unbalance is None else unbalance
     values = torch.as_tensor(unknowns.to_active(unknowns.leading(bearings.values)))
     shown = model.predict(values[None], torch.as_tensor(planes.astype(complex))[None], model.solved_at[None])
-    for block, each in zip(measurement.response.blocks, shown, strict=True):
-        result[..., block.runs] = each[0].numpy()
-    return result
+    return join_runs([block.runs for block in measurement.response.blocks], [each[0].numpy() for each in shown])

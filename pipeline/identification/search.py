@@ -243,7 +243,7 @@ def search(
             changed = stated.with_noise(noise, stated.readings.measured).correlated(correlation)
             return search(changed, choices, seed, kept, most_exact, small, coarse, again=False)
     shares = np.asarray((evidence - evidence[0]).exp())
-    root = whitened.carry(torch.eye(problem.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
+    root = whitened.carry(torch.eye(problem.places.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
     covariance = root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ root.mT
     return Searched(whitened.choices, whitened.weights(y), covariance, shares / shares.sum(), problem, precision)
 

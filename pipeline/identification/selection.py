@@ -112,7 +112,7 @@ def revive(problem: OutputError, weights: torch.Tensor, collapsed: float = 0.02)
     import torch
 
     values, active = problem.unknowns(weights)[0][0].abs().median(dim=0).values, problem.active  # (A,)
-    positive = torch.tensor([problem.model.positive[u] for _, u in active])
+    positive = torch.tensor([problem.basis.model.positive[u] for _, u in active])
     gone = positive & (values < collapsed * torch.stack([problem.scale[m, 0, u] for m, u in active]))
     if not gone.any():
         return weights[:0]

@@ -111,7 +111,7 @@ class TrainedNetworks(OutputError):
 
     def _slopes(self, weights: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         """(G, S, A, M, Q) derivative of the active outputs by the networks' parameters: zero but for their own."""
-        jacobian = self.model.raw_jacobian(self.networks(weights), inputs)  # (G, M, S, U, Q)
+        jacobian = self.basis.model.raw_jacobian(self.networks(weights), inputs)  # (G, M, S, U, Q)
         slopes = jacobian.new_zeros(len(weights), len(inputs), len(self.active), jacobian.shape[1], jacobian.shape[-1])
         for a, (m, u) in enumerate(self.active):
             slopes[:, :, a, m] = jacobian[:, m, :, u]
@@ -121,7 +121,7 @@ class TrainedNetworks(OutputError):
         """(G, N) of the networks' values at the nodes from the prior of functions."""
         import torch
 
-        values = self.model.raw(self.networks(weights), self.nodes)  # (G, M, K, U)
+        values = self.basis.model.raw(self.networks(weights), self.nodes)  # (G, M, K, U)
         every = torch.stack([values[:, m, :, u] for m, u in self.active], dim=1).flatten(1)
         return self.functions.deviations(every)
 
@@ -133,7 +133,7 @@ class TrainedNetworks(OutputError):
 
     def outputs(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, M, S, U) outputs of the networks."""
-        return self.model.raw(self.networks(weights), self.inputs)
+        return self.basis.model.raw(self.networks(weights), self.inputs)
 
 
 # --- from an answer at nodes -----------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def train_from_nodes(
     """
     import torch
 
-    problem, spline = fit.problem, fit.problem.model
+    problem, spline = fit.problem, fit.problem.basis.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
     over, rest = _spread(points_a_node * spline.n_functions), fit.weights[..., problem.places.n_coefficients :]
     guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)

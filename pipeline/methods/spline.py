@@ -63,7 +63,7 @@ class _Fit:
     @property
     def criterion(self) -> float:
         """Akaike's criterion."""
-        return self.chi_square + 2 * self.problem.size
+        return self.chi_square + 2 * self.problem.places.size
 
 
 def identify_by_spline(task: Measurement, options: MethodOptions, look_ahead: int = 2) -> Estimate:
@@ -84,8 +84,8 @@ def identify_by_spline(task: Measurement, options: MethodOptions, look_ahead: in
     follow = best.problem.readings.follow(best.problem.predicted(best.weights))
     best = _fit(replace(best.problem, readings=follow), best.problem.features.shape[-1], best.outputs, best.pairs)
     problem, weights = best.problem, best.weights
-    expected = problem.readings.size - problem.size
-    text = f"{problem.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
+    expected = problem.readings.size - problem.places.size
+    text = f"{problem.places.size} numbers, chi-square {best.chi_square:.4g} where {expected} is expected"
     text += describe_unbalance(task.unknowns.planes, problem.unbalance(weights)[0].numpy())
     values, spread = problem.unknowns(weights)[0][0].numpy(), bound_deviation(problem, weights)
     every, deviation = task.unknowns.from_active(values), task.unknowns.from_active(spread)

@@ -19,7 +19,7 @@ Legend: ``..`` batch, S speeds, P channels, R runs, B bearings, N balance planes
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -180,6 +180,11 @@ def derive_by_parameters(
     return library.moveaxis(at_sensors - through @ at_bearings, 1, -1)
 
 
+def join_runs(runs: Sequence[np.ndarray], blocks: Sequence[np.ndarray]) -> np.ndarray:
+    """(S, P, R, ..) as the data set has them, from what every block (S, P, R of the block, ..) has of its ``runs``."""
+    return np.concatenate(blocks, axis=2)[:, :, np.argsort(np.concatenate(runs))]
+
+
 @dataclass(frozen=True, eq=False)
 class ResponseEquations:
     """The response at the sensors of every run and speed."""
@@ -253,24 +258,22 @@ class ResponseEquations:
             every = derive(block, respond(block, self.change(bearings, block), unbalance), moves)
             return every.reshape(*every.shape[:-1], n_bearings, 8)
 
-        return self._gather(by_coefficient, n_bearings, 8)
+        return self._gather(by_coefficient)
 
     def derive_by_unbalance(self, bearings: BearingTable) -> np.ndarray:
         """(S, P, R, N) derivative of :meth:`predict` by the residual unbalance, m over kg m."""
 
         def by_unbalance(block: ResponseBlock) -> Array:
             if not block.unit_sensors.shape[-1]:
-                return 0.0
-            return respond(block, self.change(bearings, block), derivative=False).unit_sensors[:, :, None]
+                return np.zeros((*block.forced_sensors.shape, len(self.planes)))
+            shown = respond(block, self.change(bearings, block), derivative=False).unit_sensors[:, :, None]
+            return np.repeat(shown, len(block.runs), axis=2)
 
-        return self._gather(by_unbalance, len(self.planes))
+        return self._gather(by_unbalance)
 
-    def _gather(self, make: Callable[[ResponseBlock], Array], *shape: int) -> np.ndarray:
+    def _gather(self, make: Callable[[ResponseBlock], Array]) -> np.ndarray:
         """(S, P, R, ..) of all runs, from what is made (S, P, R of the block, ..) of each block."""
-        result = np.empty((len(self.speeds), self.n_channels, self.n_runs, *shape), dtype=complex)
-        for block in self.blocks:
-            result[:, :, block.runs] = make(block)
-        return result
+        return join_runs([block.runs for block in self.blocks], [make(block) for block in self.blocks])
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
         """dH, (S, 2 B, 2 B) N/m."""

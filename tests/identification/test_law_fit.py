@@ -57,7 +57,7 @@ def test_the_fit_is_as_good_as_any() -> None:
     problem = prepare_output_error(measurement, setup("law")).problem
     exact = np.sqrt(2.0) / NOISE.deviation(measurement.response.predict(truth))
     problem = replace(problem, readings=replace(problem.readings, precision=(torch.as_tensor(exact)[None],)))
-    gradient, matrix = problem.normal(torch.zeros(1, 1, problem.size, dtype=torch.float64))
+    gradient, matrix = problem.normal(torch.zeros(1, 1, problem.places.size, dtype=torch.float64))
     best = -torch.linalg.solve(matrix[0, 0], gradient[0, 0])[problem.places.numbers]
     for one, share in zip(fitted("law").numbers, best.tolist(), strict=True):
         assert abs(np.log(one.value / TRUE[one.name]) - share) < 0.1 * one.share, one.name
@@ -108,7 +108,7 @@ def test_derivatives_are_those_of_the_rows() -> None:
     gradient, matrix = problem.normal(weights)
     torch.testing.assert_close(slope.T @ problem.rows(weights)[0, 0], gradient[0, 0], rtol=1e-8, atol=1e-6)
     torch.testing.assert_close(slope.T @ slope, matrix[0, 0], rtol=1e-8, atol=1e-4)
-    for z in range(problem.places.n_coefficients - 2, problem.size):
+    for z in range(problem.places.n_coefficients - 2, problem.places.size):
         moved = torch.zeros_like(weights)
         moved[0, 0, z] = step
         along = (problem.rows(weights + moved) - problem.rows(weights - moved))[0, 0] / (2 * step)

@@ -52,7 +52,7 @@ def test_derivatives_of_the_rows_equal_differences(within: tuple[OutputError, to
     """The problem is linear in its model parameters about where it was solved: all differences are central ones."""
     problem, weights = within
     slope, step = dense_jacobian(problem, weights), 1e-5
-    for z in range(problem.size):
+    for z in range(problem.places.size):
         ends = []
         for sign in (1, -1):
             moved = weights.clone()
@@ -79,7 +79,7 @@ def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> 
     measurement = with_noise(small_rig(np.random.default_rng(2), 4))
     problem, weights = problem_of(replace(measurement, drift=NO_LEVELS, guess=Guess(1e6, 1e3, 30.0)))
     compare_normal(problem, weights, rtol=1e-9)
-    assert problem.rows(weights).shape[-1] - problem.size - problem.readings.size == len(problem.active)
+    assert problem.rows(weights).shape[-1] - problem.places.size - problem.readings.size == len(problem.active)
 
 
 def test_the_rows_are_squares_under_the_covariance_of_the_levels() -> None:

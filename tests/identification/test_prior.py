@@ -12,7 +12,6 @@ from small_rotor import fitted_beside_truth
 
 from pipeline.identification.blocks import Basis
 from pipeline.identification.output_error_fit import OutputErrorFit
-from pipeline.identification.problem import OutputError
 
 pytestmark = pytest.mark.slow
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
@@ -26,7 +25,7 @@ def fitted(*overrides: str, seed: int = 0) -> tuple[OutputErrorFit, np.ndarray]:
 
 
 def without_prior(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(OutputError, "with_prior", lambda self, _: self)
+    monkeypatch.setattr(Basis, "prior_precision", lambda self, *_: torch.zeros(self.n_features))
 
 
 def direct(fit: OutputErrorFit, truth: np.ndarray) -> np.ndarray:

@@ -264,7 +264,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
     dataset = noisy(rotor_of, 0.01, 0)
     only = ("identify.shared=true", "identify.unknowns=[kxx]", f"identify.unbalance_planes={planes}")
     fit = fit_of(rotor_of, dataset, 0.01, *only, "model.width=4")
-    assert fit.problem.size % 2 == 1
+    assert fit.problem.places.size % 2 == 1
     assert np.isfinite(conclude(fit).uncertainty.residual_unbalance).all()
     assert worst(rotor_of, fit, "kxx") < 0.009
 

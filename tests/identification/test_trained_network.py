@@ -17,7 +17,8 @@ from pipeline.identification.blocks import Prior
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import Fit
 from pipeline.identification.model import coefficient_model
-from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_from
+from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
 from pipeline.identification.trained_network import TrainedNetworks, keep_all, start_networks
@@ -46,7 +47,7 @@ def drawn() -> OutputErrorFit:
     """The fit with hidden layers as drawn, with a residual unbalance and an uncertain modulus."""
     measurement = data(0.01, "identify.unknowns=[kxx,kyy]", "identify.unbalance_planes=[2]")
     uncertain = ModelParameter("youngs_modulus", 0.02, "")
-    return fit_output_error(replace(measurement, parameters=(uncertain,)), setup())
+    return fit_from(prepare_output_error(replace(measurement, parameters=(uncertain,)), setup()), setup())
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,8 @@ def test_the_answer_is_the_mean_of_networks_that_were_trained(trained: TrainedFi
 @pytest.mark.slow
 def test_the_answer_stays_in_a_curved_valley() -> None:
     """Forward whirl leaves a combination of three coefficients nearly free: a mean of logarithms would leave it."""
-    found = fit_output_error(data(0.01, "identify.unknowns=[kxx,kxy,cxx]", "identify.unbalance_planes=[2]"), setup())
+    measurement = data(0.01, "identify.unknowns=[kxx,kxy,cxx]", "identify.unbalance_planes=[2]")
+    found = fit_from(prepare_output_error(measurement, setup()), setup())
     answer = train_hidden(found, setup())
     assert answer.problem.loss(answer.weights) < 1.5 * found.problem.loss(found.weights)
 
@@ -104,7 +106,7 @@ def test_the_answer_stays_in_a_curved_valley() -> None:
 @pytest.mark.slow
 def test_the_scatter_has_every_number_and_is_no_linearised_covariance(trained: TrainedFit) -> None:
     covariance = trained.covariance()
-    assert covariance.shape == (trained.problem.size,) * 2
+    assert covariance.shape == (trained.problem.places.size,) * 2
     assert np.linalg.matrix_rank(covariance) <= 4  # of four networks
     (modulus,) = conclude(trained).parameters
     assert modulus.deviation > 0

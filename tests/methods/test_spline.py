@@ -66,7 +66,7 @@ def test_its_problem_is_that_of_the_response_equations(rng: np.random.Generator)
     basis, active, planes = make_basis(data.dataset.speeds, 4), data.unknowns.active, data.unknowns.planes
     sizes = data.guess.sizes(data.unknowns)
     problem = enlarge(pose(data, sizes), basis)
-    weights = 0.1 * rng.standard_normal(problem.size)
+    weights = 0.1 * rng.standard_normal(problem.places.size)
     numbers, pairs = np.split(weights, [len(active) * 4])
     outputs = (numbers.reshape(-1, 4) @ basis.T).T  # (S, A)
     direct = np.array([data.unknowns.names[u][1] == data.unknowns.names[u][2] for _, u in active])

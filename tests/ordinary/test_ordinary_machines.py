@@ -17,11 +17,9 @@ from training import dense_jacobian
 from pipeline.config.compose import compose_config
 from pipeline.data.sensors import NoiseModel
 from pipeline.identification.answer import conclude, restore
-from pipeline.identification.blocks import no_prior
-from pipeline.identification.fit import fit_sensors
 from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
-from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.output_error_start import nodes_basis
+from pipeline.identification.output_error_fit import OutputErrorFit, fit_from, fit_output_error
+from pipeline.identification.output_error_start import nodes_basis, prepare_output_error
 from pipeline.identification.problem import output_error
 from pipeline.identification.search import Whitened, list_choices, look_beside
 from pipeline.identification.storage import load_model, save_model
@@ -110,7 +108,7 @@ def setup_and_nodes(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tup
     folder = tmp_path_factory.mktemp("noisy")
     felt = study["ordinary"].write_user_files(folder, study["draw"].draw_machine(3), 0.01, 3)
     setup = setup_of(config := compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none"]))
-    return setup, fit_output_error(load_measurement(config), setup), felt
+    return setup, fit_from(prepare_output_error(load_measurement(config), setup), setup), felt
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +170,7 @@ def test_the_whitened_problem_is_its_dense_twin(at_nodes: OutputErrorFit) -> Non
     """Gradient and information by differences of the rows; the prior of the answer has the same square either way."""
     searched = at_nodes.start.searched
     whitened = Whitened(at_nodes.problem, searched.choices.select([0]))
-    bare = replace(whitened, problem=replace(at_nodes.problem, functions=no_prior()))
+    bare = replace(whitened, problem=replace(at_nodes.problem, functions=searched.problem.functions))
     y = 0.1 * torch.randn(1, 1, bare.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gradient, matrix = bare.normal(y)
     for place in (0, 7, bare.size - 1):
@@ -205,7 +203,7 @@ def test_simulated_readings_without_noise_are_no_trap(measurement: tuple[Any, An
     """A first trial: no tolerance is asked to explain what 14 nodes can't follow, and bands hold."""
     measured, felt = measurement
     setup = setup_of(compose_config(["experiment=default/fluid_film_measured", "tracking=none"]))
-    identified = conclude(fit_sensors(measured, setup))
+    identified = conclude(fit_output_error(measured, setup))
     values, deviation = identified.table(felt).values, identified.deviation(felt.speeds)
     assert np.mean(np.abs(values - felt.values) < 1.96 * deviation) > 0.95
     assert np.median(np.abs(values / felt.values - 1)) < 0.02
@@ -258,7 +256,7 @@ def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorF
     """Where the search kept a choice alone that is wrong at one bearing, it finds back what it had found, with the
     rotor, weights and probes of that answer, not to first order about the stated ones.
     """
-    searched, model = at_nodes.start.searched, at_nodes.problem.model
+    searched, model = at_nodes.start.searched, at_nodes.problem.basis.model
     answer = searched.problem.model_parameters(searched.weights[:1])[0]
     assert np.corrcoef(searched.problem.measurement.parameter_values, answer)[0, 1] > 0.8
     families = ("plain", "lobed", "tilting_pad", "rolling", "unknown")

@@ -12,7 +12,7 @@ from running import composed, names_in, strict_json
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import PipelineError
-from pipeline.identification.fit import fit_sensors
+from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.training import setup_of
 from pipeline.reporting.run_up_tables import compare_identified
 from pipeline.stages import run_stage
@@ -58,7 +58,7 @@ NEEDED = (
 def test_the_guess_only_starts_the_fit(artifacts: Artifacts, tmp_path: Path, guess: str) -> None:
     """Two orders to either side of the configured one the same minimum, in which the rotor was solved."""
     config = config_of(artifacts.copied("rk4", NEEDED[:3], tmp_path), f"model.initial_stiffness={guess}")
-    fit = fit_sensors(load_measurement(config), setup_of(config))
+    fit = fit_output_error(load_measurement(config), setup_of(config))
     solved = fit.problem.update(fit.weights)
     assert float(solved.loss(fit.weights)) == pytest.approx(0.4305217, rel=1e-6)
     stiffness = solved.unknowns(fit.weights)[0][0, 0, [0, 1, 4, 5]].numpy()
