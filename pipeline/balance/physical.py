@@ -58,8 +58,7 @@ class Physical(LinearVibration):
     @property
     def _law(self) -> complex:
         """a of the weights' law U (1 + a |U|), 1/(kg m)."""
-        every = zip(self.measurement.parameters, self.measurement.parameter_values, strict=True)
-        return sum((v * p.deviation * PARTS[p.detail] for p, v in every if p.kind == "weight_law"), 0j)
+        return sum((p.shift * PARTS[p.detail] for p in self.measurement.parameters if p.kind == "weight_law"), 0j)
 
     def _law_changes(self, weights: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """The numbers z that are parts of the law, and what they change of the acting weights (C, N)."""

@@ -82,11 +82,13 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
             }
         )
     model = load_rotor(fine)
-    changes = [ModelParameter(kind, getattr(built, kind), "") for kind in OF_SHAFT]
-    changes += [ModelParameter(kind, getattr(built, kind), "", node) for kind in OF_DISC for node in model.disc_nodes]
+    changes = [ModelParameter(kind, getattr(built, kind), "", value=1.0) for kind in OF_SHAFT]
+    changes += [
+        ModelParameter(kind, getattr(built, kind), "", node, value=1.0) for kind in OF_DISC for node in model.disc_nodes
+    ]
     at = built.coupling_node * built.refinement
-    changes += [ModelParameter(kind, getattr(built, kind) or 0.0, "", at) for kind in OF_COUPLING]
-    return update_rotor(model, changes, np.ones(len(changes)))
+    changes += [ModelParameter(kind, getattr(built, kind) or 0.0, "", at, value=1.0) for kind in OF_COUPLING]
+    return update_rotor(model, changes)
 
 
 def stand_on_pedestals(bearings: BearingTable, built: AsBuiltConfig) -> BearingTable:

@@ -192,7 +192,7 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
 
     rotor, asked, off = config.machine.rotor, (list_unseen(config.machine), config.machine.prediction.node), []
     for exported in states:
-        made = export_rotor(rotor, updated.parameters, updated.parameter_values, exported.table)
+        made = export_rotor(rotor, updated.parameters, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")
         elements = make_bearings(exported.table, {})
         for element in elements:

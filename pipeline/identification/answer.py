@@ -67,7 +67,7 @@ def restore(
     told = np.diag(uncertainty.covariance)[uncertainty.places.coefficients].reshape(n_active, -1)[:, :count] > 0
     rows, aims = map(torch.as_tensor, uncertainty.functions)
     basis = Basis(identified.model, identified.parameters, torch.as_tensor(uncertainty.weights), 0)
-    measurement = measurement.with_laws(identified.laws).with_as_found(tuple(uncertainty.as_found.tolist()))
+    measurement = replace(measurement, laws=identified.laws, as_found=tuple(uncertainty.as_found.tolist()))
     made = output_error(measurement, basis, uncertainty.plane_scale)
     functions = Prior(rows, torch.zeros_like(aims))
     problem = replace(made, kept=torch.as_tensor(told), precision=precision, functions=functions)

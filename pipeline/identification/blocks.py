@@ -13,7 +13,7 @@ the logarithm of each over its guess).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -288,7 +288,7 @@ def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
     Raises ConfigError where there are none, or for a loss that they don't go with.
     """
     if not setup.model.has_laws:
-        return measurement.with_laws(NO_LAWS)
+        return replace(measurement, laws=NO_LAWS) if measurement.laws else measurement
     if not measurement.laws:
         raise ConfigError(
             f"model={setup.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "

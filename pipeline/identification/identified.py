@@ -105,9 +105,9 @@ class FittedParameter:
         """A support's own number and its deviation, SI; empty for what is a change of something stated."""
         if not self.parameter.stated:
             return {}
-        size = self.parameter.deviation
-        number = self.parameter.stated * self.parameter.slope(self.value)
-        return {"number": number, "number_deviation": number * size * self.deviation}
+        at = replace(self.parameter, value=self.value)
+        number = at.stated * at.slope
+        return {"number": number, "number_deviation": number * at.deviation * self.deviation}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -180,4 +180,4 @@ def answer_of(measurement: Measurement, model: IdentifiedModel, uncertainty: Unc
         return Answer(measurement, model, uncertainty)
     floor, share = map(float, uncertainty.noise)
     noise = replace(measurement.noise, additive=floor, multiplicative=share)
-    return Answer(measurement.update(uncertainty.parameters).with_noise(noise), model, uncertainty)
+    return Answer(replace(measurement.update(uncertainty.parameters), noise=noise), model, uncertainty)

@@ -165,11 +165,11 @@ def widen(problem: OutputError, weights: torch.Tensor) -> tuple[OutputError, tor
     """The problem with the tolerances among the model parameters, and its weights (1, 1, Z + T)."""
     import torch
 
-    count = len(problem.measurement.tolerances)
-    if not count:
+    measurement, tolerances = problem.measurement, problem.measurement.tolerances
+    if not tolerances:
         return problem, weights
-    wider = replace(problem, sensors=sensor_model(problem.measurement.with_tolerances()))
-    return wider, torch.nn.functional.pad(weights, (0, count))
+    among = replace(measurement, parameters=(*measurement.parameters, *tolerances), tolerances=())
+    return replace(problem, sensors=sensor_model(among)), torch.nn.functional.pad(weights, (0, len(tolerances)))
 
 
 def measure_tolerances(problem: OutputError, weights: torch.Tensor, places: np.ndarray, size: int) -> Unfitted:

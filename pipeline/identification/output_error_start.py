@@ -78,7 +78,7 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     basis = make_basis(setup, training, measurement.dataset.points)
     problem, first = begin(training, setup, basis, plane_scale)
     problem = problem.with_baseline(first["weights"][:1])
-    measurement = measurement.with_as_found(problem.measurement.as_found).with_noise(problem.measurement.noise)
+    measurement = replace(measurement, as_found=problem.measurement.as_found, noise=problem.measurement.noise)
     left_out: dict[str, Measurement] = {}
     if not keep.all():
         left_out["held_out_speeds"] = measurement.select(~keep, runs)

@@ -388,7 +388,7 @@ class OutputError(LeastSquares):
         self, noise: NoiseModel, predicted: Sequence[torch.Tensor], factor: np.ndarray | float = 1.0
     ) -> Self:
         """The same with readings of another noise, of the size that ``predicted`` ones have."""
-        measurement = self.measurement.with_noise(noise)
+        measurement = replace(self.measurement, noise=noise)
         readings = replace(self.readings, measurement=measurement).follow(predicted, factor, self.readings.shares)
         return replace(self, sensors=replace(self.sensors, measurement=measurement), readings=readings)
 
@@ -397,7 +397,7 @@ class OutputError(LeastSquares):
         made = self.law.correct(self.basis.model, self.theta(weights), self.outputs(weights), self.scale)[0]
         measurement, values = self.measurement, self.model_parameters(weights)[0].numpy()
         found = find_baseline(measurement.update(values), measurement.table(made[0].numpy()))
-        return replace(self, sensors=sensor_model(measurement.with_as_found(found))) if found else self
+        return replace(self, sensors=sensor_model(replace(measurement, as_found=found))) if found else self
 
     def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
         """The problem as one of another ``kind``, with these ``changes``."""
@@ -415,7 +415,7 @@ class OutputError(LeastSquares):
 @lru_cache(maxsize=2)
 def _solve(measurement: Measurement, values: tuple[float, ...]) -> SensorModel:
     """At these model parameters; kept, since a step is judged and then begun there."""
-    return sensor_model(measurement.update(np.array(values)))
+    return sensor_model(measurement.update(values))
 
 
 def output_error(measurement: Measurement, basis: Basis, plane_scale: float) -> OutputError:

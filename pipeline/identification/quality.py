@@ -222,7 +222,7 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None
     None where the coefficients leave all bounds there: functions that speeds do not hold may do anything.
     """
     other = other.update(fit.weights)
-    measurement = other.measurement.with_noise(fit.problem.measurement.noise)
+    measurement = replace(other.measurement, noise=fit.problem.measurement.noise)
     read = other.displacement(fit.weights)
     data = measurement.dataset
     with np.errstate(over="ignore", invalid="ignore"):

@@ -262,7 +262,7 @@ class SensorModel:
         return torch.tensor(every, dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
-        """As :meth:`pipeline.rotor.parameters.ModelParameter.step`, (G, T)."""
+        """As :attr:`pipeline.rotor.parameters.ModelParameter.step`, (G, T)."""
         import torch
 
         growth = self._growth.clamp(min=1e-300)
@@ -319,7 +319,7 @@ class SensorModel:
         known = self._known + (self._known_slopes[b] @ steps[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
         scales = torch.zeros(eight.shape[2], len(self.solved_at), dtype=torch.float64)
-        references = torch.as_tensor(self.measurement.response.references)
+        references = torch.as_tensor(self.whole.response.references)
         whole, shifted = self.blocks[b], bool(shift.any())
         variation = self._variations[b] if (derivative or shifted) and self._variations else None
         varied = whole if variation is None or not shifted else whole.vary(variation, shift)

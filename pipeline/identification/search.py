@@ -315,8 +315,8 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     kept = [parameter.kind not in small for parameter in measurement.parameters]
     count = len(measurement.dataset.speeds)
     few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
-    parameters = tuple(itertools.compress(measurement.parameters, kept))
-    simpler = replace(measurement, parameters=parameters, values=(), solved=vars(measurement).get("response"))
+    parameters = [replace(parameter, value=0.0) for parameter in itertools.compress(measurement.parameters, kept)]
+    simpler = replace(measurement, parameters=tuple(parameters), solved=measurement.response)
     made = output_error(simpler.select(few), problem.basis, problem.plane_scale)
     return made.correlated(problem.readings.correlation ** (count / len(few))), torch.tensor(kept, dtype=torch.bool)
 

@@ -33,9 +33,9 @@ def find_baseline(measurement: Measurement, bearings: BearingTable, least: float
     if not _drifts(measurement):
         return ()
     data, scale = measurement.dataset, np.ones((len(bearings.nodes), 1, 1))
-    for parameter, value in zip(measurement.parameters, measurement.parameter_values, strict=True):
+    for parameter in measurement.parameters:
         if (parameter.kind, parameter.detail) == ("bearing_drift", BASELINE):
-            scale[parameter.place] += value * parameter.deviation
+            scale[parameter.place] += parameter.shift
     turning = np.flatnonzero(measurement.synchronous())
     run = turning[data.present[:, turning].sum(axis=0).argmax()]
     nodes, count, seen = tuple(range(measurement.rotor.n_nodes)), len(data.channels), data.present[:, run]

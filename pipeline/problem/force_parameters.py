@@ -49,26 +49,23 @@ def size_excitations(dataset: VibrationDataset) -> np.ndarray:
 # --- weights -------------------------------------------------------------------------------------------
 
 
-def update_excitations(
-    dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
-) -> VibrationDataset:
-    """The data set with the weights at parameters ``values`` (T,)."""
-    shifts = _shifts(parameters, values)
+def update_excitations(dataset: VibrationDataset, parameters: Sequence[ModelParameter]) -> VibrationDataset:
+    """The data set with the weights at the values of the parameters."""
+    shifts = _shifts(parameters)
     updated = [_vector(weight, _act(weight, i, shifts)[0]) for i, weight in number_excitations(dataset.excitations)]
     return replace(dataset, excitations=tuple(updated)) if shifts else dataset
 
 
 def force_change(
-    t: int, parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel, dataset: VibrationDataset
+    parameter: ModelParameter, parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset
 ) -> np.ndarray | None:
-    """(S, n, R) derivative of the forces by parameter t at ``values`` (T,), N; None where it moves none.
+    """(S, n, R) N, derivative of the forces by a parameter, at the values of all; None where it moves none.
 
     ``dataset`` has the weights as they are stated.
     """
-    parameter, shifts = parameters[t], _shifts(parameters, values)
     if parameter.kind not in _OF_ANY:
         return None
-    changes = []
+    shifts, changes = _shifts(parameters), []
     for i, weight in number_excitations(dataset.excitations):
         if parameter.kind in OF_WEIGHT:
             acts = (weight.run, i) == (parameter.detail, parameter.place)
@@ -85,10 +82,9 @@ _OF_ANY = (*OF_WEIGHT, *OF_ALL_WEIGHTS, *OF_LABEL)
 _Shifts = Mapping[tuple[str, str, int], float]
 
 
-def _shifts(parameters: Sequence[ModelParameter], values: np.ndarray) -> _Shifts:
+def _shifts(parameters: Sequence[ModelParameter]) -> _Shifts:
     """(kind, detail, place) -> what a weight's number moves by."""
-    every = zip(parameters, values, strict=True)
-    return {(p.kind, p.detail, p.place): float(v) * p.deviation for p, v in every if p.kind in _OF_ANY}
+    return {(p.kind, p.detail, p.place): p.shift for p in parameters if p.kind in _OF_ANY}
 
 
 def _act(excitation: Excitation, i: int, shifts: _Shifts) -> tuple[complex, dict[str, complex]]:
@@ -130,12 +126,12 @@ def bow_change(parameter: ModelParameter, rotor: RotorModel) -> np.ndarray | Non
     return np.asarray(parameter.deviation * PARTS[parameter.detail] * (x - 1j * y))
 
 
-def bow_force(parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel) -> np.ndarray:
-    """(n,) N, complex, that turns with the shaft at parameters ``values`` (T,)."""
+def bow_force(parameters: Sequence[ModelParameter], rotor: RotorModel) -> np.ndarray:
+    """(n,) N, complex, that turns with the shaft at the values of the parameters."""
     total = np.zeros(rotor.n_dof, dtype=complex)
-    for parameter, value in zip(parameters, values, strict=True):
+    for parameter in parameters:
         if parameter.kind == "bow":
-            total += value * bow_change(parameter, rotor)
+            total += parameter.value * np.asarray(bow_change(parameter, rotor))
     return total
 
 

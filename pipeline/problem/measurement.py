@@ -26,7 +26,7 @@ from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, update_rotor
+from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -55,8 +55,7 @@ class Measurement:
     unknowns: UnknownSet
     guess: Guess
     _: KW_ONLY
-    parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model
-    values: tuple[float, ...] = ()  # of them, in prior deviations, where the response is evaluated; none for all zero
+    parameters: tuple[ModelParameter, ...] = ()  # T, uncertain numbers of the model; the response is at their values
     tolerances: tuple[ModelParameter, ...] = ()  # further ones that are not fitted, but widen what is known
     drift: NoiseLevels = NO_LEVELS  # noise in levels, of runs that are means of records, in place of ``noise``
     laws: LawSet = NO_LAWS  # of the bearings, for models that are made of them
@@ -164,28 +163,27 @@ class Measurement:
 
     @cached_property
     def response(self) -> ResponseEquations:
-        """The response at the sensors, at the :attr:`values` of the model parameters."""
-        rotor, parameters, values = self.updated_rotor, self.parameters, self.parameter_values
-        data = update_excitations(self.dataset, parameters, values)
-        sensors, bow = sensor_matrix(data, rotor, parameters, values), bow_force(parameters, values, self.rotor)
+        """The response at the sensors, at the values of the model parameters."""
+        rotor, parameters, data = self.updated_rotor, self.parameters, update_excitations(self.dataset, self.parameters)
+        sensors, bow = sensor_matrix(data, rotor, parameters), bow_force(parameters, self.rotor)
         solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
-        shown = runout(parameters, values, len(data.channels))
+        shown = runout(parameters, len(data.channels))
         return solved.shifted(shown[:, None] * self.synchronous())
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
         """The derivatives of the response's blocks by the model parameters, leading with T; empty without any."""
         stiffness, planes = self.guess.stiffness, self.unknowns.planes
-        return response_variations(self.rotor, self.dataset, stiffness, planes, self.parameters, self.parameter_values)
+        return response_variations(self.rotor, self.dataset, stiffness, planes, self.parameters)
 
     @property
     def updated_rotor(self) -> RotorModel:
-        """The rotor at the :attr:`values` of the model parameters."""
-        return update_rotor(self.rotor, self.parameters, self.parameter_values) if self.parameters else self.rotor
+        """The rotor at the values of the model parameters."""
+        return update_rotor(self.rotor, self.parameters) if self.parameters else self.rotor
 
     @property
     def updated_known(self) -> BearingTable:
-        """The known coefficients at the :attr:`values` of the model parameters."""
+        """The known coefficients at the values of the model parameters."""
         change = (self.known_variation @ self.parameter_values).swapaxes(0, 1)
         return replace(self.known, values=self.known.values + change)
 
@@ -202,25 +200,21 @@ class Measurement:
 
     @property
     def parameter_values(self) -> np.ndarray:
-        """(T,) :attr:`values`, zero where there are none."""
-        return np.array(self.values or [0.0] * len(self.parameters))
+        """(T,) in prior deviations."""
+        return np.array([parameter.value for parameter in self.parameters])
 
-    def update(self, values: np.ndarray) -> Measurement:
+    def update(self, values: Sequence[float] | np.ndarray) -> Measurement:
         """The same with the response at other ``values`` (T,) of the model parameters, in prior deviations."""
-        return replace(self, values=tuple(map(float, values)))
-
-    def with_tolerances(self) -> Measurement:
-        """The same with its :attr:`tolerances` among the model parameters, at what is stated of them."""
-        values = (*self.parameter_values.tolist(), *(0.0 for _ in self.tolerances))
-        return replace(self, parameters=(*self.parameters, *self.tolerances), values=values, tolerances=())
+        return replace(self, parameters=set_values(self.parameters, values))
 
     def as_stated(self) -> Measurement:
-        """The same with rotor and weights at the :attr:`values` of the model parameters, as if they were stated so."""
+        """The same with rotor and weights at the values of the model parameters, as if they were stated so."""
         if not self.parameters:
             return self
-        data = update_excitations(self.dataset, self.parameters, self.parameter_values)
-        rotor, known = self.updated_rotor, self.updated_known
-        return replace(self, rotor=rotor, dataset=data, known=known, parameters=(), values=(), tolerances=())
+        data = update_excitations(self.dataset, self.parameters)
+        return replace(
+            self, rotor=self.updated_rotor, dataset=data, known=self.updated_known, parameters=(), tolerances=()
+        )
 
     def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
         """The same at the ``speeds`` (mask or index) and for the ``runs`` (ascending indices); None for all."""
@@ -231,13 +225,8 @@ class Measurement:
             dataset=dataset if runs is None else dataset.of_runs(runs),
             known=self.known.at(keep),
             drift=self.drift.select(keep, runs),
-            # What is solved once is not solved again for some of it.
-            solved=self.response.at(keep, runs) if "response" in vars(self) else None,
+            solved=self.response.at(keep, runs),  # once for all of it
         )
-
-    def with_laws(self, laws: LawSet) -> Measurement:
-        """The same for a model of these bearing laws, which :data:`pipeline.laws.law_set.NO_LAWS` are curves alone."""
-        return self if laws is self.laws else replace(self, laws=laws, solved=vars(self).get("response"))
 
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
@@ -246,14 +235,6 @@ class Measurement:
     def synchronous(self) -> np.ndarray:
         """(R,) mask of the runs that turn with the rotor."""
         return turns_with_rotor(self.dataset)
-
-    def with_as_found(self, unbalance: tuple[complex, ...]) -> Measurement:
-        """The same where the baseline shows this unbalance of the machine, which leaves the response of the runs."""
-        return replace(self, as_found=unbalance, solved=vars(self).get("response"))
-
-    def with_noise(self, noise: NoiseModel) -> Measurement:
-        """The same with readings of another noise."""
-        return self if noise == self.noise else replace(self, noise=noise, solved=vars(self).get("response"))
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.
@@ -265,7 +246,7 @@ class Measurement:
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
             solved = replace(self.response, planes=())
-            return replace(self, unknowns=unknowns, parameters=(), values=(), solved=solved)
+            return replace(self, unknowns=unknowns, parameters=(), solved=solved)
         every, seen = np.arange(len(data.runs)), data.present[:, turning]
         first = turning[seen.argmax(axis=1)]  # (S,)
         turns = np.isin(every, turning) & (seen.sum(axis=1, keepdims=True) > 1)  # (S, R)
@@ -285,7 +266,6 @@ class Measurement:
             drift=self.drift.select(np.arange(len(data.speeds)), rest),
             unknowns=unknowns,
             parameters=(),
-            values=(),
             solved=replace(self.response, planes=(), blocks=tuple(b for b in blocks if len(b.runs))),
         )
 

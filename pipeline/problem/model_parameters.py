@@ -220,33 +220,24 @@ def turns_with_rotor(dataset: VibrationDataset) -> np.ndarray:
 # --- probes --------------------------------------------------------------------------------------------
 
 
-def sensor_matrix(
-    dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray
-) -> np.ndarray:
-    """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
+def sensor_matrix(dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]) -> np.ndarray:
+    """(P, n) what each channel shows of the rotor's lateral DOF at the values of the parameters."""
     matrix = dataset.sensor_matrix(rotor)
     for p in {parameter.place for parameter in parameters if parameter.kind in OF_PROBE}:
-        matrix[p] = _channel(dataset, p, rotor, _probe(parameters, values, p))
+        matrix[p] = _channel(dataset, p, rotor, _probe(parameters, p))
     return matrix
 
 
 def sensor_change(
-    parameter: ModelParameter,
-    dataset: VibrationDataset,
-    rotor: RotorModel,
-    parameters: Sequence[ModelParameter],
-    values: np.ndarray,
+    parameter: ModelParameter, dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]
 ) -> np.ndarray | None:
     """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that is none of a probe's."""
     if parameter.kind == "base_participation":  # linear
-        shifted, matrix = (
-            move_casing(rotor, parameter.place, parameter.deviation),
-            sensor_matrix(dataset, rotor, parameters, values),
-        )
-        return np.asarray(sensor_matrix(dataset, shifted, parameters, values) - matrix)
+        shifted = move_casing(rotor, parameter.place, parameter.deviation)
+        return np.asarray(sensor_matrix(dataset, shifted, parameters) - sensor_matrix(dataset, rotor, parameters))
     if parameter.kind not in OF_PROBE:
         return None
-    probe = _probe(parameters, values, parameter.place)
+    probe = _probe(parameters, parameter.place)
     if parameter.kind == "probe_gain":
         row = _channel(dataset, parameter.place, rotor, probe) / (1 + probe["probe_gain"])
     elif parameter.kind == "probe_angle":  # the derivative of a direction is the direction a quarter turn on
@@ -259,23 +250,19 @@ def sensor_change(
     return change
 
 
-def runout(parameters: Sequence[ModelParameter], values: np.ndarray, n_channels: int) -> np.ndarray:
-    """(P,) m that each channel shows of the shaft's surface at parameters ``values`` (T,)."""
+def runout(parameters: Sequence[ModelParameter], n_channels: int) -> np.ndarray:
+    """(P,) m that each channel shows of the shaft's surface at the values of the parameters."""
     shown = np.zeros(n_channels, dtype=complex)
-    for parameter, value in zip(parameters, values, strict=True):
+    for parameter in parameters:
         if parameter.kind == "runout":
-            shown[parameter.place] += value * parameter.deviation * PARTS[parameter.detail]
+            shown[parameter.place] += parameter.shift * PARTS[parameter.detail]
     return shown
 
 
-def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: int) -> dict[str, float]:
+def _probe(parameters: Sequence[ModelParameter], channel: int) -> dict[str, float]:
     """Shifts of a channel's gain, angle and position along the shaft."""
-    shifts = [
-        (p.kind, p.deviation * float(v))
-        for p, v in zip(parameters, values, strict=True)
-        if p.kind in OF_PROBE and p.place == channel
-    ]
-    return dict.fromkeys(OF_PROBE, 0.0) | dict(shifts)
+    shifts = {p.kind: p.shift for p in parameters if p.kind in OF_PROBE and p.place == channel}
+    return dict.fromkeys(OF_PROBE, 0.0) | shifts
 
 
 def _channel(

@@ -12,6 +12,7 @@ units.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -123,17 +124,16 @@ def response_variations(
     stiffness: float,
     planes: Sequence[int],
     parameters: Sequence[ModelParameter],
-    values: np.ndarray,
 ) -> tuple[ResponseBlock, ...]:
-    """The derivatives of every block by the parameters, leading with T, at their ``values`` (T,).
+    """The derivatives of every block by the parameters, leading with T, at their values.
 
     ``rotor`` and ``dataset`` are the stated ones. Bearings are not varied here: they follow from their coefficients.
     Empty without parameters.
     """
     if not parameters:
         return ()
-    updated, data = update_rotor(rotor, parameters, values), update_excitations(dataset, parameters, values)
-    sensors, bow = sensor_matrix(dataset, updated, parameters, values), bow_force(parameters, values, rotor)
+    updated, data = update_rotor(rotor, parameters), update_excitations(dataset, parameters)
+    sensors, bow = sensor_matrix(dataset, updated, parameters), bow_force(parameters, rotor)
     places, system, ground = bearing_places(updated), banded(updated), casing_dof(updated).ravel()
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
     impedance = places.spread(np.broadcast_to(reference * np.eye(2), (len(places.dof), len(speeds), 2, 2)))
@@ -144,14 +144,12 @@ def response_variations(
         adjoint = solve(system, w, speeds, right, impedance, places.dof, transposed=True).swapaxes(1, 2)  # (S, .., n)
         pushed, felt, forced = adjoint @ rows.T, rows @ solved, slice(0, len(runs))
         loaded, changes = slice(solved.shape[-1] - count, solved.shape[-1] - len(ground)), []
-        for t, parameter in enumerate(parameters):
+        for parameter in parameters:
             variation = np.zeros((*adjoint.shape[:2], solved.shape[-1]), dtype=complex)
             if (change := rotor_change(parameter, rotor)) is not None:
                 at = coupled(change)
-                variation -= (
-                    parameter.slope(values[t]) * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
-                )
-            if (force := force_change(t, parameters, values, rotor, dataset)) is not None:
+                variation -= parameter.slope * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
+            if (force := force_change(parameter, parameters, rotor, dataset)) is not None:
                 variation[..., forced] += adjoint @ force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
                 variation[..., forced] += (adjoint @ bent)[..., None] * turns[runs]
@@ -162,10 +160,10 @@ def response_variations(
                 variation -= reference * (turned @ felt + pushed @ (slopes @ solved))
                 variation[..., loaded] += turned
                 variation[:, : len(rows)] += slopes @ solved  # the bearings' own motion
-            if (seen := sensor_change(parameter, dataset, updated, parameters, values)) is not None:
+            if (seen := sensor_change(parameter, dataset, updated, parameters)) is not None:
                 variation[:, count:] += seen @ solved
             if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
-                vector = runout([parameter], np.ones(1), len(dataset.channels))
+                vector = runout([replace(parameter, value=1.0)], len(dataset.channels))
                 variation[:, count:, forced] += vector[:, None] * turns[runs]
             changes.append(variation)
         every = np.stack(changes)

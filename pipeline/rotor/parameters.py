@@ -91,19 +91,34 @@ class ModelParameter:
     place: int = 0  # node, position among the run's excitations, channel, bearing, or participation of a base
     detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
     stated: float = 0.0  # SI, of a support, or of what softens
+    value: float = 0.0  # theta, where rotor, weights and probes are made
 
     @property
     def name(self) -> str:
         """Kind and place, as tables show them."""
         return f"{self.kind} {self.label}".strip()
 
-    def step(self, value: float) -> float:
-        """By how many deviations the number is off at theta = ``value``."""
-        return float(np.expm1(value * self.deviation)) / self.deviation if self.kind in OF_SUPPORT else value
+    @property
+    def shift(self) -> float:
+        """By how much it is off at its :attr:`value`, in the unit of the kind."""
+        return self.value * self.deviation
 
-    def slope(self, value: float) -> float:
-        """The derivative of :meth:`step`."""
-        return float(np.exp(value * self.deviation)) if self.kind in OF_SUPPORT else 1.0
+    @property
+    def step(self) -> float:
+        """By how many deviations the number is off there."""
+        return float(np.expm1(self.shift)) / self.deviation if self.kind in OF_SUPPORT else self.value
+
+    @property
+    def slope(self) -> float:
+        """The derivative of :attr:`step` by the value."""
+        return float(np.exp(self.shift)) if self.kind in OF_SUPPORT else 1.0
+
+
+def set_values(
+    parameters: Sequence[ModelParameter], values: Sequence[float] | np.ndarray
+) -> tuple[ModelParameter, ...]:
+    """The parameters at other ``values`` (T,), in prior deviations."""
+    return tuple(replace(parameter, value=float(v)) for parameter, v in zip(parameters, values, strict=True))
 
 
 def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
@@ -139,14 +154,13 @@ def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | N
     return replace(rotor, **change)
 
 
-def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray) -> RotorModel:
-    """The rotor at parameters ``values`` (T,), in prior deviations."""
+def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter]) -> RotorModel:
+    """The rotor at the values of the parameters."""
     sums: dict[str, Any] = {name: getattr(rotor, name) for name in ("mass", "damping", "gyroscopic", "stiffness")}
-    for parameter, value in zip(parameters, values, strict=True):
-        if parameter.kind in MOVED and value:
-            rotor = MOVED[parameter.kind][0](rotor, parameter.place, float(value) * parameter.deviation)
-        change = rotor_change(parameter, rotor) if value else None
+    for parameter in parameters:
+        if parameter.kind in MOVED and parameter.value:
+            rotor = MOVED[parameter.kind][0](rotor, parameter.place, parameter.shift)
+        change = rotor_change(parameter, rotor) if parameter.value else None
         if change is not None:
-            step = parameter.step(value)
-            sums = {name: total + step * getattr(change, name) for name, total in sums.items()}
+            sums = {name: total + parameter.step * getattr(change, name) for name, total in sums.items()}
     return replace(rotor, **sums)

@@ -16,10 +16,8 @@ from pipeline.rotor.parameters import OF_COUPLING, ModelParameter
 from pipeline.rotor.ross_adapter import make_rotor, ross
 
 
-def export_rotor(
-    config: RotorConfig, parameters: Sequence[ModelParameter], values: np.ndarray, bearings: BearingTable
-) -> Any:
-    """ROSS's rotor at the model parameters ``values`` (T,), in prior deviations, on the identified ``bearings``.
+def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bearings: BearingTable) -> Any:
+    """ROSS's rotor at the values of the model parameters, on the identified ``bearings``.
 
     Supports of a rotor file are part of the bearings as the shaft feels them; those beside it are elements between
     casing and ground. Seals and masses on the shaft stay. A fitted coupling is a bearing element of its own.
@@ -28,8 +26,8 @@ def export_rotor(
     """
     rs, base = ross(), make_rotor(config)
     shifted = {
-        (parameter.kind, parameter.place): float(value) * parameter.deviation  # ROSS writes numbers of numpy as texts
-        for parameter, value in zip(parameters, values, strict=True)
+        (parameter.kind, parameter.place): parameter.shift
+        for parameter in parameters
         if parameter.kind not in ("known_coefficients", "runout")
     }
     young, density = 1.0 + shifted.get(("youngs_modulus", 0), 0.0), 1.0 + shifted.get(("density", 0), 0.0)
@@ -48,10 +46,7 @@ def export_rotor(
     last = len(base.nodes) - 1
     masses = [one for one in base.point_mass_elements if one.n <= last]
     links = {support.node: last + 1 + i for i, support in enumerate(config.supports)}
-    shifts = {
-        (parameter.kind, parameter.place, parameter.detail): parameter.slope(float(value))
-        for parameter, value in zip(parameters, values, strict=True)
-    }
+    shifts = {(parameter.kind, parameter.place, parameter.detail): parameter.slope for parameter in parameters}
     seals = [element for element in base.bearing_elements if isinstance(element, rs.SealElement)]
     standing = [*make_bearings(bearings, links), *seals]
     for support in config.supports:

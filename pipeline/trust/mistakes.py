@@ -69,7 +69,7 @@ def find_mistakes(
         if taken is not None:
             taken = project(replace(data, displacement=taken), channels).displacement
         dataset = replace(project(data, channels), subtracted=taken)
-        measurement = replace(measurement, dataset=dataset, parameters=(), values=())
+        measurement = replace(measurement, dataset=dataset, parameters=())
     names, count = [*(probes or name_channels(measurement))], len(measurement.dataset.speeds)
     thinned = []
     for speeds, terms in (first, last):

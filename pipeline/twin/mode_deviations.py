@@ -133,7 +133,7 @@ def deviate_modes(
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.machine_covariance
     changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
-    steps = [p.slope(v) for p, v in zip(measurement.parameters, measurement.parameter_values, strict=True)]
+    steps = [parameter.slope for parameter in measurement.parameters]
     positions = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "bearing_position"]
     values = np.concatenate([modes.eigenvalues, (modes.growth + 1j * modes.growing)[:, None]], axis=1)
     rotor = measurement.updated_rotor

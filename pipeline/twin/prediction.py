@@ -79,9 +79,8 @@ def add_deviation(
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     slopes = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
-        rotor, parameters = measurement.rotor, of_machine_alone(measurement.parameters)
-        values = measurement.parameter_values
-        (variation,) = response_variations(rotor, dataset, stiffness, (), parameters, values)
+        parameters = of_machine_alone(measurement.parameters)
+        (variation,) = response_variations(measurement.rotor, dataset, stiffness, (), parameters)
         change = equations.change(bearings, equations.blocks[0])
         response = respond(equations.blocks[0], change)
         by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)

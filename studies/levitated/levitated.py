@@ -34,7 +34,7 @@ from pipeline.files import write_json
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.model import RotorModel, translation_dof
-from pipeline.rotor.parameters import ModelParameter, update_rotor
+from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.sweep.bias import respond_steadily
 from pipeline.sweep.fit import ModalFit, RunUp, fit_near
@@ -180,7 +180,7 @@ class Machine:
 
     def modes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Natural frequencies (K,) Hz and damping ratios (K,) at x: ln k and ln c of both bearings, and tolerances."""
-        rotor = update_rotor(self.rotor, self.tolerances, x[4:])
+        rotor = update_rotor(self.rotor, set_values(self.tolerances, x[4:]))
         bearings = tabulate_bearings(rotor, np.exp(x[:2]), np.exp(x[2:4]))
         values = find_modes(rotor, bearings, 2 * len(self.hz)).eigenvalues[0, ::2]  # x and y are alike
         return np.abs(values) / HZ, -values.real / np.abs(values)
@@ -261,7 +261,7 @@ def read_bearings(modes: Sequence[dict[str, Any]], first_over_current: dict[str,
     deviation, at = np.sqrt(np.diag(covariance)), np.exp(x[:4])
     drawn, weights = machine.sample(x, covariance, draws)
     sampled = weights @ drawn[:, :2]
-    rotor = update_rotor(machine.rotor, machine.tolerances, x[4:])
+    rotor = update_rotor(machine.rotor, set_values(machine.tolerances, x[4:]))
     mean = float(at[:2].mean())
     hz, mass = ONE_MODE
     single = (HZ * hz) ** 2 * mass / 2

@@ -135,7 +135,7 @@ def test_weights_that_turn_turn_the_response(model: Physical, angle: float) -> N
 
 def test_without_a_law_the_response_is_linear(rig: SmallRig, setup: FitSetup) -> None:
     """The part of each plane adds up, and the derivative is the difference."""
-    plain = replace(rig.template, parameters=(), values=())
+    plain = replace(rig.template, parameters=())
     model, weights = fit_physical(plain, setup, rig.conditions), loads(2)
     both, one, other, none = model.predict(np.array([weights[0] + weights[1], *weights, [0, 0]]))[0]
     np.testing.assert_allclose(both, one + other - none, atol=1e-10 * abs(both).max())
@@ -152,7 +152,7 @@ def test_one_fit_serves_both_peers(rig: SmallRig, setup: FitSetup, monkeypatch: 
         return fit_physical(*given)
 
     monkeypatch.setattr(module, "fit_physical", counted)
-    plain = replace(rig.template, parameters=(), values=())
+    plain = replace(rig.template, parameters=())
     peers, train, elsewhere = physical_peers(plain, setup, 0.01), rig.conditions, np.array([125.0])
     physical = peers["physical"](train, train.speeds)
     assert peers["blend"](train, train.speeds).physical is physical

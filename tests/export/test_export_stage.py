@@ -16,7 +16,7 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import ModelParameter, update_rotor
+from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
 from pipeline.rotor.ross_adapter import assemble, ross
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.stages.analysis import Analysis
@@ -159,12 +159,12 @@ def test_a_rotor_with_every_kind_of_part_keeps_its_matrices(tmp_path: Path) -> N
     config = RotorConfig(file=str(tmp_path / "stated.toml"))
     parameters = [ModelParameter(kind, 0.02, "", 2) for kind in ("disc_mass", "disc_inertia")]
     parameters += [ModelParameter(kind, 0.02, "") for kind in ("youngs_modulus", "density")]
-    values = np.array([1.5, -0.7, 0.9, -1.2])
+    parameters = [*set_values(parameters, [1.5, -0.7, 0.9, -1.2])]
     stated = assemble(config)
     table = bearings_of(stated.bearing_nodes, np.array([100.0, 200.0]), kxx=2e7, kyy=1e7, cxx=1e4, cyy=2e4)
-    export_rotor(config, parameters, values, table).save(tmp_path / "updated.toml")
+    export_rotor(config, parameters, table).save(tmp_path / "updated.toml")
     found = assemble(RotorConfig(file=str(tmp_path / "updated.toml")))
-    wanted = update_rotor(stated, parameters, values)
+    wanted = update_rotor(stated, parameters)
     for name in ("mass", "gyroscopic", "stiffness", "damping"):
         matrix = getattr(wanted, name)
         np.testing.assert_allclose(getattr(found, name), matrix, atol=1e-9 * np.abs(matrix).max())

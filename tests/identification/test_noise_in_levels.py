@@ -155,6 +155,5 @@ def turned_rig() -> SmallRig:
 def turn(measurement: Measurement, angle: float) -> Measurement:
     """All readings turned, as another place of the tacho would."""
     data = measurement.dataset
-    turned = replace(measurement, dataset=replace(data, displacement=data.displacement * np.exp(1j * angle)))
-    vars(turned)["response"] = measurement.response
-    return turned
+    turned = replace(data, displacement=data.displacement * np.exp(1j * angle))
+    return replace(measurement, dataset=turned, solved=measurement.response)

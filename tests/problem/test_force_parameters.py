@@ -14,7 +14,7 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.force_parameters import bow_force, update_excitations
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.parameters import ModelParameter
+from pipeline.rotor.parameters import ModelParameter, set_values
 from pipeline.rotor.stored import load_rotor
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
@@ -31,7 +31,7 @@ def test_weights_follow_the_angle_and_the_law() -> None:
         ModelParameter("weight_law", 40.0, "", 0, "real"),
         ModelParameter("weight_law", 30.0, "", 0, "imaginary"),
     ]
-    weight, force = update_excitations(data, parameters, np.array([1.0, -1.0, 1.0, 2.0, -1.0])).excitations
+    weight, force = update_excitations(data, set_values(parameters, [1.0, -1.0, 1.0, 2.0, -1.0])).excitations
     size = 2e-3 * 1.03
     expected = size * np.exp(0.4j) * (1 + (80.0 - 30.0j) * size)
     assert weight.magnitude * np.exp(1j * weight.phase) == pytest.approx(expected, rel=1e-12)
@@ -45,7 +45,7 @@ def test_a_bowed_shaft_rolls_in_its_shape() -> None:
     config = {"material": STEEL, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 8], "shear_effects": False}
     rotor, speeds = load_rotor(RotorConfig.model_validate(config)), np.array([0.1])
     parts = [ModelParameter("bow", 1e-5, "", 4, part) for part in ("real", "imaginary")]
-    force = bow_force(parts, np.array([2.0, 1.0]), rotor)[None, :, None]
+    force = bow_force(set_values(parts, [2.0, 1.0]), rotor)[None, :, None]
     places = bearing_places(rotor)
     rigid = np.broadcast_to(1e13 * np.eye(2), (2, 1, 2, 2))
     motion = solve(banded(rotor), speeds, speeds, force, places.spread(rigid), places.dof)[0, :, 0].reshape(9, 4)
@@ -75,7 +75,7 @@ def test_a_bow_moves_ross_own_rotor_as_this_one(machine: MachineFactory) -> None
     answer = np.asarray(theirs.run_forced_response(force=force, speed_range=speeds).forced_resp)[lateral].T
 
     parts = [ModelParameter("bow", 2e-5, "", disc, part) for part in ("real", "imaginary")]
-    own = bow_force(parts, np.array([np.cos(0.5), np.sin(0.5)]), rotor)[None, :, None]
+    own = bow_force(set_values(parts, [np.cos(0.5), np.sin(0.5)]), rotor)[None, :, None]
     places = bearing_places(rotor)
     right = np.repeat(own, len(speeds), axis=0)
     found = solve(banded(rotor), speeds, speeds, right, places.spread(made.bearings.impedance(speeds)), places.dof)

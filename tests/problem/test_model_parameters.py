@@ -111,7 +111,7 @@ def readings(measurement: Measurement) -> np.ndarray:
 def test_a_bearing_that_drifts_is_another_one_in_that_run(measurement: Measurement) -> None:
     """One deviation at bearing 0 in run b: readings of run a stay, those of b are those of a scaled bearing."""
     at = [(p.kind, p.place, p.detail) for p in measurement.parameters].index(("bearing_drift", 0, "b"))
-    alone = replace(measurement, parameters=(measurement.parameters[at],), values=())
+    alone = replace(measurement, parameters=(replace(measurement.parameters[at], value=0.0),))
     model, none = sensor_model(alone), torch.zeros(1, 0, dtype=torch.float64)
     values = torch.as_tensor(alone.known.values[..., [0, 3]].swapaxes(0, 1).reshape(1, 7, -1))
     (moved,) = model.predict(values, torch.zeros(1, 1, dtype=torch.complex128), none.new_ones(1, 1))
@@ -124,7 +124,7 @@ def test_a_baseline_is_taken_off_as_its_own_bearings_had_it(measurement: Measure
     """Readings of two runs and a baseline on bearings of their own, by the response itself: its unbalance is found, and
     the differences and their derivatives are those of the rows.
     """
-    stated, shown = replace(measurement, parameters=(), values=()), np.array([3e-6, 2e-6j, 0.0, 1e-6])
+    stated, shown = replace(measurement, parameters=()), np.array([3e-6, 2e-6j, 0.0, 1e-6])
     discs = (Excitation("", "unbalance", 3, 2e-4, 1.1), Excitation("", "unbalance", 8, 5e-5, -2.0))
     scales, read = {"a": (1.02, 1.0), "b": (1.0, 0.98), "": (1.04, 0.96)}, []
     for run, scale in scales.items():
@@ -190,7 +190,7 @@ def test_derivatives_are_those_of_differences(measurement: Measurement) -> None:
 def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str, float]) -> None:
     """A rotor of another material. A disc from geometry has the new density, too, so the shafts are compared."""
     stated, made = rotor(), rotor(**other)
-    moved = update_rotor(stated, [ModelParameter(kind, DEVIATIONS[kind], "")], np.array([1.0]))
+    moved = update_rotor(stated, [ModelParameter(kind, DEVIATIONS[kind], "", value=1.0)])
     assert np.allclose(moved.stiffness, made.stiffness, rtol=1e-12, atol=0)
     assert np.allclose(moved.mass - stated.mass, made.shaft_mass - stated.shaft_mass, rtol=1e-9, atol=1e-12)
 
@@ -229,7 +229,7 @@ def test_a_bow_that_a_baseline_took_off_is_refused(measurement: Measurement) -> 
 def test_the_budget_is_what_least_squares_makes_of_a_wrong_model(measurement: Measurement) -> None:
     """SciPy's least squares at each speed by itself, of readings from a model that is a little other than stated."""
 
-    stated = replace(measurement, values=())
+    stated = measurement.update(np.zeros(len(measurement.parameters)))
     shifts = systematic_shifts(stated, stated.known)
     assert shifts is not None
     for t in (0, 3, 8, 14, len(stated.parameters) - 1):

@@ -42,7 +42,7 @@ MODES = [{"hz": hz} | SPREAD for hz in (16.4, 52.0, 55.0, 74.0, 105.0, 170.0, 20
 def test_half_the_mass_is_that_of_a_rigid_shaft_alone() -> None:
     """On a rigid shaft, each bearing carries half of the rotor; on this one, a disc and a piece of shaft."""
     machine = build_machine(MODES)
-    stiff = update_rotor(machine.rotor, [ModelParameter("youngs_modulus", 1e5, "")], np.ones(1))
+    stiff = update_rotor(machine.rotor, [ModelParameter("youngs_modulus", 1e5, "", value=1.0)])
     rigid, soft = (weigh_modes(rotor, np.full(2, 1e5)) for rotor in (stiff, machine.rotor))
     assert rigid[0]["mass_at_bearings"] == pytest.approx(machine.rotor.total_mass / 2, rel=1e-3)
     assert rigid[0]["shaft_share"] == pytest.approx(0, abs=1e-3)

@@ -17,7 +17,6 @@ from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import measure_uncertainty
 from pipeline.problem.condition_noise import condition_noise, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import update_rotor
 from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.twin.modes import find_critical_speeds, find_modes
 
@@ -35,7 +34,7 @@ def test_critical_speeds_above_the_data_lie_within_their_deviations() -> None:
     at_fit = measurement.update(uncertainty.parameters)
     found = expect_criticals(at_fit, fit.identified, uncertainty, ABOVE)
     bearings = BearingTable((0, 5), ABOVE, np.repeat(rig.bearings.values[:, :1], len(ABOVE), axis=1))
-    true = find_critical_speeds(find_modes(update_rotor(measurement.rotor, measurement.parameters, off), bearings))
+    true = find_critical_speeds(find_modes(measurement.update(off).updated_rotor, bearings))
     assert len(found) == len(true) > 0
     for (one, (deviation, decrement_deviation)), other in zip(found, true, strict=True):
         assert abs(one.speed - other.speed) < 4 * deviation

@@ -79,7 +79,7 @@ def test_derivatives_by_model_parameters_equal_differences(
     change = derive_place(rotor, parameter, bearings.values[:, s]) if moves else rotor_change(parameter, rotor)
     by_rotor = derive(rotor, bearings, s, [change, None])[2]
     step = 1e-3
-    ends = [eigenvalues(update_rotor(rotor, [parameter], np.array([v])), bearings, s) for v in (step, -step)]
+    ends = [eigenvalues(update_rotor(rotor, [replace(parameter, value=v)]), bearings, s) for v in (step, -step)]
     differences = (ends[0] - ends[1]) / (2 * step)
     np.testing.assert_allclose(by_rotor[:, 0], differences, atol=1e-4 * np.abs(differences).max())
     assert not by_rotor[:, 1].any()
