@@ -14,6 +14,7 @@ from pipeline.data.operating import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.combinations import WORTH, Combinations
 from pipeline.identification.quality import finite
+from pipeline.parameters.model import KINDS
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Identifiability, Solvability
@@ -36,7 +37,6 @@ from pipeline.reporting.blocks import (
     shade,
 )
 from pipeline.reporting.console import table
-from pipeline.reporting.fit_tables import choose_unit
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number, write_percent
@@ -254,7 +254,7 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
 
 def name_tolerance(kind: str, tolerance: float) -> str:
     """A kind of model parameter with its ``tolerance`` (in its unit), such as ``length (0.1 %)``."""
-    unit, factor = choose_unit(kind)
+    unit, factor = KINDS[kind].shown_unit
     return f"{kind} ({write_number(factor * tolerance, digits=3)} {unit})"
 
 

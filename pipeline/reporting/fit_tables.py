@@ -14,11 +14,11 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, list_contradicted
 from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.model import KINDS
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table, warn
-from pipeline.rotor.parameters import OF_SUPPORT, UNITS
 from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number, write_percent
@@ -147,7 +147,7 @@ def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]
     table: dict[str, list[Any]] = {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
-        "unit": [UNITS[number.parameter.kind] for number in every],
+        "unit": [number.parameter.row.unit for number in every],
         "prior_std": [number.parameter.deviation for number in every],
         "value": [number.value * number.parameter.deviation for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
@@ -169,10 +169,10 @@ def list_parameters(
     rows = []
     for name, number in fitted.items():
         (kind, _, place), prior, value = name.partition(" "), number["prior_deviation"], number["value"]
-        unit, factor = choose_unit(kind)
+        unit, factor = KINDS[kind].shown_unit
         remark = "" if number["deviation"] < told * prior else "as stated: the data do not tell"
         if not remark and "number" in number:
-            remark = f"{write_number(number['number'], number['number_deviation'])} {OF_SUPPORT[kind][1]}"
+            remark = f"{write_number(number['number'], number['number_deviation'])} {KINDS[kind].stated_unit}"
         rows.append(
             [
                 f"{spell(kind)} {place}".strip(),
@@ -186,14 +186,6 @@ def list_parameters(
     return Table(
         caption, ["parameter", "unit", "stated", "found", "over its tolerance", "remark"], rows
     ).without_blank()
-
-
-def choose_unit(kind: str) -> tuple[str, float]:
-    """An engineer's unit, and what the parameter's is multiplied by."""
-    unit = UNITS[kind]
-    if kind in ("bow", "runout"):
-        return "um", 1e6
-    return {"": ("%", 100.0), "rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
 
 
 _ZERO_CELSIUS = 273.15

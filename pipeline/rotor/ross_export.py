@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
+from pipeline.parameters.model import ModelParameter
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import OF_COUPLING, ModelParameter
 from pipeline.rotor.ross_adapter import make_rotor, ross
 
 
@@ -30,7 +30,6 @@ def export_rotor(
     shifted = {
         (parameter.kind, parameter.place): float(value) * parameter.deviation  # ROSS writes numbers of numpy as texts
         for parameter, value in zip(parameters, values, strict=True)
-        if parameter.kind not in ("known_coefficients", "runout")
     }
     young, density = 1.0 + shifted.get(("youngs_modulus", 0), 0.0), 1.0 + shifted.get(("density", 0), 0.0)
     shaft = [_change_material(one, young, density) for one in base.shaft_elements]
@@ -63,10 +62,9 @@ def export_rotor(
         }
         masses.append(rs.PointMass(casing, mx=held.pop("mxx"), my=held.pop("myy"), tag=f"casing {support.node}"))
         standing.append(rs.BearingElement(casing, **held, tag=f"support of node {support.node}"))
-    coupling = {kind: (n, value) for (kind, n), value in shifted.items() if kind in OF_COUPLING}
-    if coupling:
-        node = next(iter(coupling.values()))[0]
-        stiffness, mass = (float(coupling.get(kind, (node, 0.0))[1]) for kind in OF_COUPLING)
+    couplings = ("coupling_stiffness", "coupling_mass")
+    for node in {node for kind, node in shifted if kind in couplings}:
+        stiffness, mass = (shifted.get((kind, node), 0.0) for kind in couplings)
         standing.append(rs.BearingElement(node, kxx=stiffness, cxx=0.0, mxx=mass, tag="coupling"))
     return rs.Rotor(shaft, discs, standing, masses)
 

@@ -14,8 +14,8 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
 from pipeline.identification.readings import sensor_model
+from pipeline.parameters.model import model_parameters
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel

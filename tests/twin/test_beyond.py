@@ -15,9 +15,9 @@ from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of
 from pipeline.identification.uncertainty import measure_uncertainty
+from pipeline.parameters.model import update_rotor
 from pipeline.problem.condition_noise import condition_noise, to_dataset
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import update_rotor
 from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.twin.modes import find_critical_speeds, find_modes
 

@@ -19,9 +19,9 @@ from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import integrate, simulate
+from pipeline.parameters.model import ModelParameter, update_rotor
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
 
 
@@ -82,10 +82,12 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
             }
         )
     model = load_rotor(fine)
-    changes = [ModelParameter(kind, getattr(built, kind), "") for kind in OF_SHAFT]
-    changes += [ModelParameter(kind, getattr(built, kind), "", node) for kind in OF_DISC for node in model.disc_nodes]
-    at = built.coupling_node * built.refinement
-    changes += [ModelParameter(kind, getattr(built, kind) or 0.0, "", at) for kind in OF_COUPLING]
+    everywhere, discs, coupled = (0,), model.disc_nodes, (built.coupling_node * built.refinement,)
+    places = {"youngs_modulus": everywhere, "density": everywhere, "disc_mass": discs, "disc_inertia": discs}
+    places |= {"coupling_stiffness": coupled, "coupling_mass": coupled}
+    changes = [
+        ModelParameter(kind, getattr(built, kind) or 0.0, "", node) for kind, nodes in places.items() for node in nodes
+    ]
     return update_rotor(model, changes, np.ones(len(changes)))
 
 
