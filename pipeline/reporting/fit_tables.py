@@ -21,7 +21,7 @@ from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table, warn
 from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
-from pipeline.write_numbers import format_engineering, write_number, write_percent
+from pipeline.write_numbers import format_engineering, write_number, write_percent, write_rough
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,7 +90,7 @@ _SHOWN = {
 def _format(column: str, value: float | str) -> str:
     if isinstance(value, str):
         return value
-    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
+    return format_engineering(value) if column in ("modelled", "identified") else write_rough(value)
 
 
 def describe_verdicts(about: Mapping[str, Any]) -> str:
@@ -179,7 +179,7 @@ def list_parameters(
                 unit,
                 f"0 +- {write_number(factor * prior, digits=3)}",
                 write_number(factor * value, factor * number["deviation"]),
-                write_number(round(value / prior, 2) + 0.0, digits=2),
+                write_rough(round(value / prior, 2) + 0.0),
                 remark,
             ]
         )
@@ -241,9 +241,7 @@ def tabulate_numbers(caption: str, numbers: Sequence[Mapping[str, Any]]) -> Tabl
                 number["label"],
                 write_number(number["value"], number["deviation"]),
                 number["unit"],
-                write_number(
-                    100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf, digits=2
-                ),
+                write_rough(100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf),
                 write_number(number["guess"]),
                 "" if number["determined"] else "the data do not tell it",
             ]
@@ -260,7 +258,7 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
         *([] if contradiction is None else [" ".join(contradiction)]),
         *(_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()),
         *(
-            f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+            f"At {write_rough(100 * share)} % of the points the bearing of node {node} lies beyond the "
             "end of its table, whose last coefficients are continued there: give a table that goes further."
             for node, share in law.get("outside_table", {}).items()
             if share > 0
@@ -280,7 +278,7 @@ def _describe_correction(
     if all(max(entry["percent"], entry["deviation_percent"]) < least_percent for entry in coefficients.values()):
         return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
     shown = ", ".join(
-        f"{name} {write_number(entry['percent'], digits=2)} +- {write_number(entry['deviation_percent'], digits=2)} %"
+        f"{name} {write_rough(entry['percent'])} +- {write_rough(entry['deviation_percent'])} %"
         for name, entry in coefficients.items()
     )
     out = list_contradicted(coefficients)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from inspect import signature
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
-from pipeline.parameters.model import ModelParameter
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import make_rotor, ross
+
+if TYPE_CHECKING:
+    from pipeline.parameters.model import ModelParameter
 
 
 def export_rotor(
