@@ -18,6 +18,7 @@ ROOMS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"laws"}), "bearings from few physical numbers"),
     (frozenset({"rotor"}), "shaft and discs as matrices; bearings over speed"),
     (frozenset({"data"}), "vibration, its files, sensors and noise"),
+    (frozenset({"parameters"}), "uncertain numbers of the machine's model"),
     (frozenset({"sweep"}), "passing a critical speed; the fit of a run-up"),
     (frozenset({"ingest"}), "recordings and tables of instruments"),
     (

@@ -78,6 +78,8 @@ def _inner(annotation: Any, mark: str = "") -> Iterator[tuple[type[Section], str
 
 def meaning_of(section: type[Section], name: str) -> str:
     """What a key means. Raises KeyError with the class and the key where nobody has written it down."""
+    if said := section.model_fields[name].description:
+        return said
     for one in section.__mro__:
         for key in (f"{one.__module__}.{one.__name__}", one.__name__):
             if name in MEANINGS.get(key, {}):

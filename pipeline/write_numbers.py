@@ -31,12 +31,17 @@ def write_number(value: float | None, deviation: float | None = None, digits: in
     return " +- ".join(f"{round(number, -place) + 0.0:.{max(-place, 0)}f}" for number in (value, deviation))  # no -0
 
 
+def write_rough(value: float | None) -> str:
+    """:func:`write_number` to two digits: deviations, errors, ratios."""
+    return write_number(value, digits=2)
+
+
 def write_percent(share: float, sign: str = "") -> str:
     """A share in percent, two digits of it behind the ``sign``, such as ``+- 210 %``; ``over 1000 %``, or that it has
     no limit."""
     if not math.isfinite(share):
         return "no limit"
-    return f"{sign}{write_number(100 * share, digits=2)} %" if share <= 10 else "over 1000 %"
+    return f"{sign}{write_rough(100 * share)} %" if share <= 10 else "over 1000 %"
 
 
 _MOST_DIGITS, _MOST_DECIMALS = 5, 9

@@ -10,9 +10,9 @@ from balancing import circular
 from small_rotor import small_machine
 
 from pipeline.data.conditions import Conditions
+from pipeline.parameters.model import model_parameters
 from pipeline.problem.condition_noise import spread_conditions, to_dataset
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.rotor.bearing_table import BearingTable
 

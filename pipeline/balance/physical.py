@@ -22,8 +22,8 @@ from pipeline.identification.answer import restore
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.weights import bend_law
 from pipeline.problem.condition_noise import NO_LEVELS, follow_residuals, spread_conditions, to_dataset
-from pipeline.problem.force_parameters import PARTS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
 
@@ -58,14 +58,14 @@ class Physical(LinearVibration):
     @property
     def _law(self) -> complex:
         """a of the weights' law U (1 + a |U|), 1/(kg m)."""
-        return sum((p.shift * PARTS[p.detail] for p in self.measurement.parameters if p.kind == "weight_law"), 0j)
+        return sum((p.value * bend_law(p) for p in self.measurement.parameters), 0j)
 
     def _law_changes(self, weights: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """The numbers z that are parts of the law, and what they change of the acting weights (C, N)."""
         first = self.covariance.shape[0] - len(self.measurement.parameters)
         for t, parameter in enumerate(self.measurement.parameters):
-            if parameter.kind == "weight_law":
-                yield first + t, parameter.deviation * PARTS[parameter.detail] * bend(weights)
+            if law := bend_law(parameter):
+                yield first + t, law * bend(weights)
 
     @cached_property
     def _parts(self) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
-from pipeline.config.identification import IdentifyConfig
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import split_states
 from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure
@@ -21,6 +20,7 @@ from pipeline.evaluation.errors import list_coverage, measure_errors
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import REQUIREMENTS, Estimate, MethodOptions, Refusal
+from pipeline.parameters.identify import IdentifyConfig
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel

@@ -97,22 +97,15 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
         Singleton.set_state(state)
 
 
-def _load(chosen: Sequence[Override], loader: Any, parsed: Sequence[Override]) -> DictConfig:
-    """The composed configuration, with the groups that were chosen in ``hydra.runtime.choices``.
-
-    Most of Hydra's work is its own part of it: only where an override among all ``parsed`` is of that part, it is made.
-    What the groups compose to is kept for other values of the same files.
-    """
+def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
+    """The composed configuration. What the groups compose to is kept for other values of the same files."""
     from hydra.types import RunMode
     from omegaconf import OmegaConf
 
-    if any(override.is_hydra_override() for override in parsed):
-        texts = [get_text(override) for override in chosen]
-        return cast("DictConfig", loader.load_configuration(ROOT_CONFIG, texts, RunMode.RUN, from_shell=False))
     values = [o for o in chosen if isinstance(o.value(), dict) or not loader.repository.group_exists(o.key_or_group)]
     groups = [get_text(override) for override in chosen if override not in values]
     if (key := _identify_files(groups)) not in _COMPOSED:
-        _COMPOSED[key] = _compose_groups(groups, loader)
+        _COMPOSED[key] = loader.load_configuration(ROOT_CONFIG, groups, RunMode.RUN, from_shell=False)
     config = copy.deepcopy(_COMPOSED[key])
     OmegaConf.set_struct(config, True)
     loader._apply_overrides_to_config(values, config)
@@ -132,27 +125,6 @@ def _identify_files(groups: Sequence[str]) -> str:
     return hashlib.sha256(repr([groups, files, stored]).encode()).hexdigest()
 
 
-def _compose_groups(groups: Sequence[str], loader: Any) -> DictConfig:
-    """What Hydra does to compose a configuration, without its own part and before values are overridden."""
-    from hydra._internal.defaults_list import create_defaults_list
-    from hydra.errors import ConfigCompositionException
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-
-    try:
-        parsed, repo = loader._parse_overrides_and_create_caching_repo(ROOT_CONFIG, groups)
-        root = repo.load_config(ROOT_CONFIG)
-        root.defaults_list = [
-            each for each in root.defaults_list if not getattr(each, "group", "").startswith("hydra/")
-        ]
-        defaults = create_defaults_list(repo, ROOT_CONFIG, parsed, prepend_hydra=False, skip_missing=False)
-        config: DictConfig = loader._compose_config_from_defaults_list(defaults.defaults, repo)
-    except OmegaConfBaseException as error:
-        raise ConfigCompositionException from error
-    OmegaConf.update(config, "hydra.runtime.choices", defaults.overrides.known_choices, force_add=True)
-    return config
-
-
 def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
     """The configuration of these overrides, interpolations resolved, before the schema has seen it."""
     import yaml
@@ -162,7 +134,7 @@ def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
 
     _check_group_values(parsed, loader)
     try:
-        config = _load(parsed, loader, parsed)
+        config = _load(parsed, loader)
         with open_dict(config):
             del config["hydra"]
         mapping = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
@@ -289,7 +261,7 @@ def _explain_keys(parsed: Sequence[Override], loader: ConfigLoader) -> list[str]
 
     groups = [o for o in parsed if isinstance(o.value(), (str, list)) and _is_group(o, loader)]
     try:
-        config = _load([o for o in groups if not o.is_add()], loader, parsed)
+        config = _load([o for o in groups if not o.is_add()], loader)
     except HydraException:
         return []  # the groups themselves don't compose: Hydra's words tell more
     tree: Any = OmegaConf.to_container(config, resolve=False)

@@ -13,10 +13,10 @@ from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
-from pipeline.data.as_built import AsBuiltConfig
 from pipeline.ingest.dataset import RecordingsConfig
 from pipeline.ingest.run_up import RunUpConfig
 from pipeline.laws.law_set import LawsConfig
+from pipeline.parameters.as_built import AsBuiltConfig
 from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 from pipeline.units import RAD_S_PER_RPM
 

@@ -13,7 +13,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from pipeline.config.balance import BalanceConfig, PredictConfig
 from pipeline.config.comparison import ComparisonConfig
-from pipeline.config.identification import IdentifyConfig, LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
+from pipeline.config.identification import LossConfig, OptimizerConfig, RobustnessConfig, TrainingConfig
 from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
 from pipeline.config.models import ModelConfig
@@ -21,6 +21,7 @@ from pipeline.config.operating import Conditions, Differences
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.config.tuning import HeldOutLoss, TuningConfig
+from pipeline.parameters.identify import IdentifyConfig
 
 
 class DataConfig(Section):

@@ -24,6 +24,7 @@ from pipeline.data.tables import Columns, write_table
 from pipeline.data.vibration_files import to_rpm
 from pipeline.errors import DataError
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.write_numbers import write_number
 
 
 def write_coefficients(
@@ -193,8 +194,9 @@ def _interpolate_known(table: Columns, rpm: np.ndarray, where: str, rounding: fl
         raise DataError(f"{where} must have one row a bearing and speed, but some are there twice")
     if rpm.min() < given[0] * (1 - rounding) or rpm.max() > given[-1] * (1 + rounding):
         raise DataError(
-            f"{where} must cover the speeds of the data ({rpm.min():.6g} to {rpm.max():.6g} rpm), but it has "
-            f"{given[0]:.6g} to {given[-1]:.6g} rpm: nothing is extrapolated"
+            f"{where} must cover the speeds of the data ({write_number(rpm.min(), digits=6)} to "
+            f"{write_number(rpm.max(), digits=6)} rpm), but it has "
+            f"{write_number(given[0], digits=6)} to {write_number(given[-1], digits=6)} rpm: nothing is extrapolated"
         )
     columns: Columns = {}
     for name in table.keys() - {"speed_rpm"}:

@@ -16,6 +16,7 @@ from pipeline.config.quantities import from_base
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.tables import Columns, read_table
 from pipeline.errors import DataError
+from pipeline.write_numbers import write_number
 
 _SHOWN = {"Pa": ("bar", "bar"), "percent": ("percent", "%")}
 """By the unit of files: the one that is shown, and how it is written, where these differ."""
@@ -76,7 +77,7 @@ def write_condition(name: str, values: np.ndarray | float) -> str:
     written = column_of(name).unit
     unit, sign = _SHOWN.get(written, (written, written))
     ends = from_base(np.array([np.min(values), np.max(values)], dtype=float), unit)
-    text = f"{' to '.join(dict.fromkeys(f'{end:.4g}' for end in ends))} {sign}"
+    text = f"{' to '.join(dict.fromkeys(f'{write_number(end)}' for end in ends))} {sign}"
     if name.rpartition("_")[2] in _PLAIN:
         return text
     return f"{name.removesuffix(f'_{written}').replace('_', ' ')} {text}"

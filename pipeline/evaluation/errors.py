@@ -18,6 +18,7 @@ from pipeline.data.sensors import NOMINAL_95
 from pipeline.identification.quality import MISMATCH
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings
+from pipeline.write_numbers import write_rough
 
 CoefficientErrors = dict[str, dict[str, dict[str, float]]]
 """Bearing node -> coefficient name -> ``mean_error_percent`` and so on, as ``metrics.json`` has them."""
@@ -158,7 +159,7 @@ def find_contradiction(about: Mapping[str, Any], kind: str, least: float = 1e-4)
     probability = about["fit"]["mismatch"]["probability"] if kind == "law" else None
     if probability is None or probability >= MISMATCH:
         return None
-    chance = f"{probability:.2g}" if probability >= least else f"below {least:g}"
+    chance = write_rough(probability) if probability >= least else f"below {least:g}"
     return (
         f"The readings contradict this bearing law (probability {chance}).",
         "Fit model=hybrid or model=network_operating, or take another table in machine.laws.",

@@ -26,6 +26,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
 from pipeline.twin.twin import list_unseen
+from pipeline.write_numbers import write_number
 
 _ANSYS_NAMES = dict(zip(COEFFICIENTS, ("K11", "K12", "K21", "K22", "C11", "C12", "C21", "C22"), strict=True))
 _COMBI214 = (("K11", "K22", "K12", "K21", "C11", "C22"), ("C12", "C21"))
@@ -211,5 +212,5 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
     files = " and ".join(f"'rotor{state.suffix}.toml'" for state in states[:3]) + (", ..." if len(states) > 3 else "")
     return (
         f"{files} {'is' if len(states) == 1 else 'are'} for ross.Rotor.load; ROSS smooths tables over the speed, which "
-        f"moves the response to the prediction's unbalance by at most {max(off):.1g} %{beside}"
+        f"moves the response to the prediction's unbalance by at most {write_number(max(off), digits=1)} %{beside}"
     )

@@ -23,7 +23,6 @@ from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
 from pipeline.problem.slopes import invert
-from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -91,7 +90,7 @@ def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
     ]
     ends = [Combination(dict(zip(labels, directions[:, i].tolist(), strict=True)), float(spread[i])) for i in (0, -1)]
     left, spans = np.sqrt(np.diag(covariance)[problem.places.parameters]), {}
-    kinds = [number.name if number.kind in OF_SUPPORT else number.kind for number in measurement.parameters]
+    kinds = [number.name if number.growth else number.kind for number in measurement.parameters]
     for kind in dict.fromkeys(kinds):
         deviations = [float(value) for value, other in zip(left, kinds, strict=True) if other == kind]
         spans[kind] = (min(deviations), max(deviations))

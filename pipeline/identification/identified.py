@@ -19,8 +19,8 @@ from pipeline.identification.inputs import points_of
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.training import Outcome
 from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.parameters.model import ModelParameter
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import ModelParameter
 from pipeline.unknowns import UnknownSet
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import numpy as np
 from pipeline.data.dataset import project_direction
 from pipeline.identification.problem import OutputError
 from pipeline.impedance import list_places, to_coordinates
+from pipeline.parameters.weights import size_excitations
 from pipeline.problem.expansion import expand
-from pipeline.problem.force_parameters import size_excitations
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import whiten
 from pipeline.problem.residual import LinearResidual, linear_residual

@@ -17,7 +17,7 @@ variance) were fitted with the weights z: with the information ``H`` of both, u 
 ``(1 + H_uu - H_uz H_zz^-1 H_zu)^-1`` and a mean, and z moves by ``-H_zz^-1 H_zu u``.
 
 Legend: S speeds, A active unknowns, K features, L local functions, Z weights of the fit, T tolerances, kinds of which
-are named in :data:`pipeline.problem.model_parameters.USUAL`.
+are named in :data:`pipeline.parameters.model.USUAL`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pipeline.identification.model import CoefficientModel
 from pipeline.identification.problem import OutputError
 from pipeline.identification.readings import sensor_model
 from pipeline.identification.selection import Evidence
-from pipeline.problem.model_parameters import USUAL
+from pipeline.parameters.model import USUAL
 
 if TYPE_CHECKING:
     import torch

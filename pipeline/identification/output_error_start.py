@@ -30,7 +30,6 @@ from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.expansion import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -115,7 +114,7 @@ def _start_by_coefficients(
     if {"base_participation", "support_stiffness", "support_damping"} <= kinds and unknowns.planes:
         weights = _temper(problem, read_modes(problem), setup.optimizer.levenberg_marquardt)
         return problem.update(weights), {"weights": weights, "from_guess": False, "near": True}
-    if kinds & OF_SUPPORT.keys():
+    if any(parameter.growth for parameter in training.parameters):
         weights = _approach(problem, weights[1::2], setup.optimizer.levenberg_marquardt)
     return problem, {"weights": weights, "from_guess": True, "filtered": _filter(training)}
 

@@ -5,7 +5,7 @@ the shaft's dynamic stiffness. The rows are whitened: with the right unknowns th
 
 The unknowns are a flat vector of blocks (:mod:`pipeline.identification.blocks`): weights of the functions that the
 coefficients are made of, numbers of bearing laws that these correct, residual unbalance, uncertain numbers of the model
-(:mod:`pipeline.problem.model_parameters`). A block that is not there has no columns.
+(:mod:`pipeline.parameters.model`). A block that is not there has no columns.
 
 The hidden layer of a network stays as it was drawn (random features; Rahimi and Recht 2007): the output layer is
 linear, the estimate is then close to normal, and its covariance is that of the whole parametrisation. Trained hidden

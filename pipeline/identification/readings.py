@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.parameters.bearings import BASELINE, drift_scales
+from pipeline.parameters.ground import softening, support_change
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import BASELINE, softening, support_change
 from pipeline.problem.response import (
     ResponseBlock,
     derive,
@@ -27,7 +28,6 @@ from pipeline.problem.response import (
     respond,
 )
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import OF_SUPPORT
 
 if TYPE_CHECKING:
     import torch
@@ -258,11 +258,10 @@ class SensorModel:
         """(T,) prior deviations of what grows with the exponential of its parameter; zero for what is in proportion."""
         import torch
 
-        every = [p.deviation if p.kind in OF_SUPPORT else 0.0 for p in self.measurement.parameters]
-        return torch.tensor(every, dtype=torch.float64)
+        return torch.tensor([p.growth for p in self.measurement.parameters], dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
-        """As :attr:`pipeline.rotor.parameters.ModelParameter.step`, (G, T)."""
+        """As :attr:`pipeline.parameters.model.ModelParameter.step`, (G, T)."""
         import torch
 
         growth = self._growth.clamp(min=1e-300)
@@ -277,7 +276,7 @@ class SensorModel:
 
     @cached_property
     def _softening(self) -> tuple[torch.Tensor, ...]:
-        """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.problem.model_parameters.softening` has them."""
+        """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.parameters.model.softening` has them."""
         import torch
 
         every = softening(self.measurement.parameters, self.measurement.rotor, self.whole.dataset)
@@ -298,13 +297,8 @@ class SensorModel:
         """
         import torch
 
-        parameters, runs = self.measurement.parameters, self.whole.dataset.runs
-        drifting = [(t, p) for t, p in enumerate(parameters) if p.kind == "bearing_drift" and p.detail in runs]
-        n_places, apart = len(self._influence) // 8, drifting or len(self._softening[2])
-        scales = torch.zeros(len(runs) if apart else 0, n_places, len(parameters), dtype=torch.float64)
-        for t, parameter in drifting:
-            scales[runs.index(parameter.detail), parameter.place, t] = parameter.deviation
-        return scales
+        scales = drift_scales(self.measurement.parameters, self.whole.dataset.runs, len(self._influence) // 8)
+        return torch.as_tensor(scales if scales.any() or len(self._softening[2]) else scales[:0])
 
     def _place(
         self, b: int, values: torch.Tensor, parameters: torch.Tensor, derivative: bool = True

@@ -26,7 +26,6 @@ from pipeline.identification.problem import OutputError, output_error
 from pipeline.impedance import list_places
 from pipeline.laws.population import FamilyPrior, make_priors
 from pipeline.problem.measurement import Measurement
-from pipeline.rotor.parameters import OF_PROBE, OF_WEIGHT
 from pipeline.rotor.weight import estimate_journals, find_static_loads
 
 if TYPE_CHECKING:
@@ -311,8 +310,8 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     """The problem of a few ``speeds`` that knows no tolerances of probes, weights and runs; (T,) parameters it has."""
     import torch
 
-    measurement, small = problem.measurement, (*OF_WEIGHT, *OF_PROBE, "bearing_drift")
-    kept = [parameter.kind not in small for parameter in measurement.parameters]
+    measurement = problem.measurement
+    kept = [parameter.row.scope != "run" for parameter in measurement.parameters]
     count = len(measurement.dataset.speeds)
     few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
     parameters = [replace(parameter, value=0.0) for parameter in itertools.compress(measurement.parameters, kept)]

@@ -243,17 +243,13 @@ def _start_at(fit: OutputErrorFit, twin: OutputErrorFit, setup: FitSetup) -> Out
     rest[..., :planes] *= other.plane_scale / start.problem.plane_scale
     rest[..., 1:planes:2] *= -1.0  # imaginary parts
     for t, parameter in enumerate(other.measurement.parameters):
-        if parameter.kind in _ANGLES or parameter.detail == "imaginary":
+        if parameter.mirrored:
             rest[..., planes + t] *= -1.0
     weights[..., start.problem.places.n_coefficients :] = rest
     restarted = fit_from(
         replace(start, problem=start.problem.update(weights), weights=weights, from_guess=False), setup, near=True
     )
     return restarted if np.isfinite(restarted.weights.numpy()).all() else None
-
-
-_ANGLES = ("probe_angle", "unbalance_phase", "weight_angle")
-"""These change their sign in the mirror."""
 
 
 def _square(fit: OutputErrorFit, factor: np.ndarray) -> float:

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.config.identification import IdentifyConfig
 from pipeline.errors import DataError
 from pipeline.files import hash_file, read_json, write_beside, write_json
 from pipeline.identification.identified import Answer, IdentifiedModel, answer_of
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.uncertainty import UNCERTAINTY, load_uncertainty
 from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.parameters.identify import IdentifyConfig
 from pipeline.problem.measurement import Measurement
 from pipeline.unknowns import UnknownSet
 

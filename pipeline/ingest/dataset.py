@@ -33,6 +33,7 @@ from pipeline.ingest.uff import UffRecordingsConfig
 from pipeline.ingest.waveform import WaveformRecordingsConfig
 from pipeline.sweep.bias import SweepBias, describe_bias, find_mode, measure_bias, read_peak
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number, write_rough
 
 RecordingsConfig = Annotated[
     NoRecordingsConfig
@@ -104,7 +105,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
         notes += merged
     notes += [
-        f"the probes at node {node} contradict each other by {100 * misfit:.2g} % of what they measure: check "
+        f"the probes at node {node} contradict each other by {write_rough(100 * misfit)} % of what they measure: check "
         "their angles, polarity and scale"
         for node, misfit in misfits.items()
         if misfit > contradiction
@@ -171,7 +172,8 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
     if largest.max() > LARGEST:
         raise DataError(
             f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{largest.max():.3g} m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
+            f"{write_number(largest.max(), digits=3)} m: check the unit (machine.recordings.conventions, or scale "
+            "and signal_unit)"
         )
 
 

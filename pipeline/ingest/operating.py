@@ -18,6 +18,7 @@ from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.tracks import ROUNDING, RunTracks
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 Conditions = dict[str, np.ndarray]
 
@@ -95,8 +96,9 @@ def _look_up(
         raise DataError(f"{where} must have each {key} of a run once, but run '{run.name}' has one twice")
     if wanted.min() < given[0] * (1 - ROUNDING) or wanted.max() > given[-1] * (1 + ROUNDING):
         raise DataError(
-            f"{where} must cover run '{run.name}' ({key} {wanted.min():.6g} to {wanted.max():.6g}), but it has "
-            f"{given[0]:.6g} to {given[-1]:.6g}: nothing is extrapolated"
+            f"{where} must cover run '{run.name}' ({key} {write_number(wanted.min(), digits=6)} to "
+            f"{write_number(wanted.max(), digits=6)}), but it has "
+            f"{write_number(given[0], digits=6)} to {write_number(given[-1], digits=6)}: nothing is extrapolated"
         )
     return {name: np.interp(wanted, given, values[rows][order]) for name, values in operating.items()}
 

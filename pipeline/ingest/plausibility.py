@@ -17,6 +17,7 @@ from pipeline.data.simulate import solve_response
 from pipeline.errors import ConfigError, DataError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
+from pipeline.write_numbers import write_number, write_rough
 
 
 def note_size(
@@ -42,10 +43,10 @@ def note_size(
     if not far:
         return []
     ratio, runs = max(far.values(), key=lambda ratio: abs(np.log(ratio))), ", ".join(f"'{run}'" for run in far)
-    text = f"{ratio:.2g} times larger" if ratio > 1 else f"{1 / ratio:.2g} times smaller"
+    text = f"{write_rough(ratio)} times larger" if ratio > 1 else f"{write_rough(1 / ratio)} times smaller"
     return [
-        f"the amplitudes of run {runs} are {text} than the rotor's on bearings of {stiffness:.2g} N/m (median): is a "
-        "unit wrong, of the lengths or of the unbalances?"
+        f"the amplitudes of run {runs} are {text} than the rotor's on bearings of {write_rough(stiffness)} N/m "
+        "(median): is a unit wrong, of the lengths or of the unbalances?"
     ]
 
 
@@ -61,9 +62,10 @@ def require_clearance(dataset: VibrationDataset, stated: Mapping[int, Mapping[st
             raise DataError(
                 f"amplitudes at node {node} must lie within the radial clearance of its bearing "
                 f"({key}.radial_clearance: at most {1e6 * clearance:g} um), but run "
-                f"'{dataset.runs[int(largest.argmax())]}' has "
-                f"{1e6 * largest.max():.4g} um, {largest.max() / clearance:.3g} times as much: check the unit (um "
-                "called mm are 1000 times too large, um called mil 25.4 times), or correct the clearance"
+                f"'{dataset.runs[int(largest.argmax())]}' has {write_number(1e6 * largest.max())} um, "
+                f"{write_number(largest.max() / clearance, digits=3)} times "
+                "as much: check the unit (um called mm are 1000 times too large, um called mil 25.4 times), or correct "
+                "the clearance"
             )
 
 
@@ -100,8 +102,8 @@ def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:
         runs = f"runs '{dataset.runs[a]}' and '{dataset.runs[b]}'"
         if stated[a] == stated[b] and off > repeated:
             notes.append(
-                f"{runs} state the same weights, but their readings differ by {100 * off:.2g} % (median): correct the "
-                "weight or the file of one; if one repeats the other, the machine changed between them"
+                f"{runs} state the same weights, but their readings differ by {write_rough(100 * off)} % (median): "
+                "correct the weight or the file of one; if one repeats the other, the machine changed between them"
             )
         elif stated[a] != stated[b] and off == 0:
             notes.append(f"{runs} have the same readings, but state other weights: correct the file of one")
@@ -115,8 +117,8 @@ def note_dead(run: str, sizes: Mapping[str, float], dead: float = 0.01) -> list[
     """
     usual = float(np.median(list(sizes.values())))
     return [
-        f"probe '{probe}' of run '{run}' reads {100 * size / usual:.2g} % of what the probes read (median): is it "
-        "dead, or is its scale that of another unit?"
+        f"probe '{probe}' of run '{run}' reads {write_rough(100 * size / usual)} % of what the probes read (median): "
+        "is it dead, or is its scale that of another unit?"
         for probe, size in sizes.items()
         if 0 < size < dead * usual
     ]
@@ -133,8 +135,8 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float 
         held = max(float((end[1:] & end[:-1]).mean()) for end in ends) if np.ptp(signal) > 0 else 0.0
         if held > clipped:
             notes.append(
-                f"{where}, probe '{probe}': the signal stays at one end of its range in {100 * held:.2g} % of the "
-                "samples: it is clipped, so that its amplitudes are too small; measure again with a wider range"
+                f"{where}, probe '{probe}': the signal stays at one end of its range in {write_rough(100 * held)} % "
+                "of the samples: it is clipped, so that its amplitudes are too small; measure again with a wider range"
             )
     return notes
 

@@ -30,6 +30,7 @@ from pipeline.data.tables import read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
 from pipeline.ingest.tracks import LARGEST, format_rpm
+from pipeline.write_numbers import write_number
 
 
 class ComplexColumnsConfig(Section):
@@ -155,7 +156,8 @@ class RecordsConfig(MeasuredConfig):
             displacement[:, p] = to_displacement(to_lead(values[:, p], size, said.amplitude, said.phase), order, speeds)
         if np.nanmax(np.abs(displacement), initial=0.0) > LARGEST:
             raise DataError(
-                f"'{path}' must have amplitudes below {LARGEST:g} m, but got {np.nanmax(np.abs(displacement)):.3g} m: "
+                f"'{path}' must have amplitudes below {LARGEST:g} m, but got "
+                f"{write_number(np.nanmax(np.abs(displacement)), digits=3)} m: "
                 "check machine.recordings.conventions"
             )
         weighed, sizes = values[:, n_probes:], np.array([weight.size for weight in self.weights])

@@ -18,6 +18,7 @@ from pipeline.ingest.conventions import RAD_S, to_vectors
 from pipeline.ingest.tracks import sort_track
 from pipeline.sweep.fit import RunUp, measure_rate
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 
 class RunUpColumnsConfig(Section):
@@ -91,8 +92,8 @@ def read_run_up(config: RunUpConfig, straight: float = 0.01) -> RunUp:
         if departure > straight * speeds.max():
             raise DataError(
                 f"{where} must be a ramp of one rate with a row a revolution, but a row is "
-                f"{departure / RAD_S_PER_RPM:.3g} rpm off: choose the range of the ramp (from_rpm, to_rpm), "
-                "or give rate_rpm_per_s"
+                f"{write_number(departure / RAD_S_PER_RPM, digits=3)} rpm off: choose the range of the ramp "
+                "(from_rpm, to_rpm), or give rate_rpm_per_s"
             )
     track = sort_track(speeds, vectors, where)
     return RunUp(track.speeds, track.vectors, rate, deviation, departure)

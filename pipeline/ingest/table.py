@@ -31,6 +31,7 @@ from pipeline.data.tables import Columns, is_csv, read_table
 from pipeline.errors import DataError, nearest
 from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
+from pipeline.write_numbers import write_number
 
 
 class TableColumnsConfig(Section):
@@ -212,7 +213,7 @@ def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) ->
         said, other = "radians", "degrees (machine.recordings.conventions.phase_unit=deg)"
     else:
         return ()
-    span = f"{phases.min():.3g} to {phases.max():.3g}"
+    span = f"{write_number(phases.min(), digits=3)} to {write_number(phases.max(), digits=3)}"
     return (f"'{path}' has phases from {span} that are said to be {said}: are they in {other}?",)
 
 

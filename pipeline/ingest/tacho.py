@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import DataError
+from pipeline.write_numbers import write_number
 
 _TURN = 2 * np.pi
 
@@ -116,8 +117,8 @@ def _check_regular(pulses: np.ndarray, where: str) -> None:
         at = pulses[odd[0] + 1]
         raise DataError(
             f"{where} must have evenly spaced tacho pulses, but {len(odd)} of {len(pulses)} intervals do not fit their "
-            f"neighbours (the first at {at:.6g} s): pulses are missing or doubled; check tacho.threshold and "
-            "tacho.hysteresis, or cut the record"
+            f"neighbours (the first at {write_number(at, digits=6)} s): pulses are missing or doubled; check "
+            "tacho.threshold and tacho.hysteresis, or cut the record"
         )
 
 

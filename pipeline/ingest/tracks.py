@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.data.coefficient_files import interpolate
 from pipeline.errors import DataError
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 LARGEST = 1.0
 """m, what the file of training takes."""
@@ -53,8 +54,8 @@ def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str, fastest: flo
     sizes = np.hypot(vectors.real, vectors.imag)
     if not (sizes <= LARGEST).all():
         raise DataError(
-            f"{where} must have amplitudes below {LARGEST:g} m, but got {np.nanmax(sizes):.3g} m: check the unit "
-            "(machine.recordings.conventions, or scale and signal_unit)"
+            f"{where} must have amplitudes below {LARGEST:g} m, but got {write_number(np.nanmax(sizes), digits=3)} "
+            "m: check the unit (machine.recordings.conventions, or scale and signal_unit)"
         )
     order = np.argsort(speeds, kind="stable")
     speeds, vectors = speeds[order], vectors[order]
@@ -101,7 +102,11 @@ def _require_same(
     first = every[0][0].name
     start = max(float(other.speeds[0]) for _, _, other in every) / RAD_S_PER_RPM
     stop = min(float(other.speeds[-1]) for _, _, other in every) / RAD_S_PER_RPM
-    common = f"all of them cover {start:.6g} to {stop:.6g} rpm" if start <= stop else "no speed is covered by all"
+    common = (
+        f"all of them cover {write_number(start, digits=6)} to {write_number(stop, digits=6)} rpm"
+        if start <= stop
+        else "no speed is covered by all"
+    )
     raise DataError(
         f"all runs must have the same speeds where machine.recordings.speeds is null, but run '{run.name}' has "
         f"{_format_range(track)} at probe '{probe}', and run '{first}' has {_format_range(every[0][2])} "
@@ -138,14 +143,18 @@ def _name_confusion(speeds: np.ndarray, wanted: np.ndarray) -> str:
     for factor, confused in _CONFUSED.items():
         low, high = speeds[[0, -1]] / factor
         if low * (1 - ROUNDING) <= wanted[0] and wanted[-1] <= high * (1 + ROUNDING):
-            times = f"{factor:.3g} times too large" if factor > 1 else f"{1 / factor:.3g} times too small"
+            times = (
+                f"{write_number(factor, digits=3)} times too large"
+                if factor > 1
+                else f"{write_number(1 / factor, digits=3)} times too small"
+            )
             return f"speeds that are {times} are {confused} (machine.recordings.conventions.speed); "
     return ""
 
 
 def format_rpm(speed: float) -> str:
     """Write a speed in rad/s as rpm."""
-    return f"{speed / RAD_S_PER_RPM:.6g}"
+    return write_number(speed / RAD_S_PER_RPM, digits=6)
 
 
 def _format_range(track: Track) -> str:

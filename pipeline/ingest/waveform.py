@@ -32,6 +32,7 @@ from pipeline.ingest.table import note_cut
 from pipeline.ingest.tacho import find_pulses, fit_angle
 from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_rough
 
 Edge = Literal["rising", "falling"]
 
@@ -155,8 +156,8 @@ class TachoConfig(TachoSignalConfig):
         if self.pulses_per_revolution > 1 and not self.mark_channel:
             yield (
                 f"must give mark_channel where there are {self.pulses_per_revolution} pulses a revolution "
-                "(phases would "
-                "be relative to any of them), but it is null: give the channel with one pulse a revolution"
+                "(phases would be relative to any of them), but it is null: give the channel with one pulse a "
+                "revolution"
             )
 
 
@@ -241,7 +242,7 @@ def _fit_records(
         if error > seen_error:
             notes.append(
                 f"{record.where} has tacho edges that are sharper than the sampling, at a whole number of "
-                f"samples a revolution: all its phases may be off by {np.degrees(error):.2g} deg together"
+                f"samples a revolution: all its phases may be off by {write_rough(np.degrees(error))} deg together"
             )
     tracks = _make_tracks(config, np.array(speeds), np.array(vectors), f"run '{name}'")
     return RunTracks(name, source, tracks, tracks, tuple(notes))

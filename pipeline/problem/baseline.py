@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.data.dataset import Excitation
+from pipeline.parameters.bearings import BASELINE, drift_scales
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import BASELINE
 from pipeline.rotor.bearing_table import BearingTable
 
 
-def _drifts(measurement: Measurement) -> bool:
-    drifting = any(parameter.kind == "bearing_drift" for parameter in measurement.parameters)
-    return drifting and measurement.dataset.subtracted is not None
+def _scale_bearings(measurement: Measurement) -> np.ndarray:
+    """(B, T) what one deviation of each parameter adds to one, by which a bearing is scaled in the baseline."""
+    return drift_scales(measurement.parameters, (BASELINE,), len(measurement.rotor.bearing_nodes))[0]
 
 
 def find_baseline(measurement: Measurement, bearings: BearingTable, least: float = 1e-2) -> tuple[complex, ...]:
@@ -30,12 +30,10 @@ def find_baseline(measurement: Measurement, bearings: BearingTable, least: float
     By least squares over all speeds, each reading over its noise, beside what a probe shows at every speed (runout).
     Distributions that show less than the share ``least`` of what the clearest shows are left out.
     """
-    if not _drifts(measurement):
+    drift = _scale_bearings(measurement)
+    if not drift.any():
         return ()
-    data, scale = measurement.dataset, np.ones((len(bearings.nodes), 1, 1))
-    for parameter in measurement.parameters:
-        if (parameter.kind, parameter.detail) == ("bearing_drift", BASELINE):
-            scale[parameter.place] += parameter.shift
+    data, scale = measurement.dataset, (1 + drift @ measurement.parameter_values)[:, None, None]
     turning = np.flatnonzero(measurement.synchronous())
     run = turning[data.present[:, turning].sum(axis=0).argmax()]
     nodes, count, seen = tuple(range(measurement.rotor.n_nodes)), len(data.channels), data.present[:, run]
@@ -55,7 +53,7 @@ def add_baseline(measurement: Measurement) -> Measurement:
     be taken off theirs; as it is where no bearing drifts. The baseline's readings are zero.
     """
     data = measurement.dataset
-    if not measurement.as_found or not _drifts(measurement):
+    if not measurement.as_found or not _scale_bearings(measurement).any():
         return measurement
     turning = zip(data.runs, measurement.synchronous(), strict=True)
     found = tuple(

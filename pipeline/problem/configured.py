@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import AS_MODELLED, KnownConfig
 from pipeline.config.schema import Config
-from pipeline.data.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
@@ -23,9 +22,10 @@ from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import NO_LAWS, make_laws
+from pipeline.parameters.as_built import build_rotor, misplace_probes, simulate_as_built
+from pipeline.parameters.model import ALWAYS_FITTED, model_parameters, usual_tolerances
 from pipeline.problem.condition_noise import NO_LEVELS, condition_noise, suffices, to_dataset
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import ALWAYS_FITTED, model_parameters, usual_tolerances
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probe, require_nodes

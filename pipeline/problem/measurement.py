@@ -17,16 +17,19 @@ from pipeline.coefficients import COEFFICIENTS, CoefficientName
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.parameters.bearings import known_variation
+from pipeline.parameters.geometry import bow_force
+from pipeline.parameters.kind import turns_with_rotor
+from pipeline.parameters.model import ModelParameter, set_values, update_rotor
+from pipeline.parameters.probes import runout, sensor_matrix
+from pipeline.parameters.weights import update_excitations
 from pipeline.problem.condition_noise import NO_LEVELS
-from pipeline.problem.force_parameters import bow_force, update_excitations
-from pipeline.problem.model_parameters import runout, sensor_matrix, turns_with_rotor
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -190,13 +193,7 @@ class Measurement:
     @property
     def known_variation(self) -> np.ndarray:
         """(S, B, 8, T) derivative of the known coefficients by the model parameters, N/m and N s/m."""
-        known = self.known
-        result = np.zeros((len(known.speeds), len(known.nodes), len(COEFFICIENTS), len(self.parameters)))
-        for t, parameter in enumerate(self.parameters):
-            if parameter.kind == "known_coefficients":
-                c = COEFFICIENTS.index(parameter.detail)
-                result[:, parameter.place, c, t] = parameter.deviation * known.values[parameter.place, :, c]
-        return result
+        return known_variation(self.parameters, self.known)
 
     @property
     def parameter_values(self) -> np.ndarray:

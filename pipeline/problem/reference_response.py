@@ -17,13 +17,15 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs, synchronous
-from pipeline.problem.force_parameters import bow_change, bow_force, force_change, update_excitations
-from pipeline.problem.model_parameters import runout, sensor_change, sensor_matrix, turns_with_rotor
+from pipeline.parameters.geometry import bow_change, bow_force
+from pipeline.parameters.kind import turns_with_rotor
+from pipeline.parameters.model import ModelParameter, rotor_change, update_rotor
+from pipeline.parameters.probes import runout, sensor_change, sensor_matrix
+from pipeline.parameters.weights import force_change, update_excitations
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, coupled, solve
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import RotorModel, casing_dof, translation_dof
-from pipeline.rotor.parameters import MOVED, ModelParameter, rotor_change, update_rotor
 
 REFERENCE_LOSS = 1.0
 """Loss factor of the reference bearings, ``H0 = k (1 + j)``: so damped, they have no resonance that costs digits."""
@@ -153,17 +155,17 @@ def response_variations(
                 variation[..., forced] += adjoint @ force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
                 variation[..., forced] += (adjoint @ bent)[..., None] * turns[runs]
-            if parameter.kind in MOVED:
+            if parameter.row.derive_places:
                 # With the bearings' rows c on the matrices, D + c' H0 c has the derivative dc' H0 c + c' H0 dc.
-                slopes = parameter.deviation * MOVED[parameter.kind][1](updated, parameter.place)
+                slopes = parameter.deviation * parameter.row.derive_places(updated, parameter.place)
                 turned = adjoint @ slopes.T
                 variation -= reference * (turned @ felt + pushed @ (slopes @ solved))
                 variation[..., loaded] += turned
                 variation[:, : len(rows)] += slopes @ solved  # the bearings' own motion
             if (seen := sensor_change(parameter, dataset, updated, parameters)) is not None:
                 variation[:, count:] += seen @ solved
-            if parameter.kind == "runout":  # what the sensors show besides is none of the rotor's
-                vector = runout([replace(parameter, value=1.0)], len(dataset.channels))
+            # What the sensors show besides is none of the rotor's.
+            if (vector := runout([replace(parameter, value=1.0)], len(dataset.channels))).any():
                 variation[:, count:, forced] += vector[:, None] * turns[runs]
             changes.append(variation)
         every = np.stack(changes)

@@ -17,7 +17,7 @@ from pipeline.problem.design import Candidates, Plan
 from pipeline.problem.planning import State
 from pipeline.problem.ranking import rank
 from pipeline.reporting.console import say, table
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_rough
 
 Runs = Sequence[Sequence[Excitation]]
 Gains = Mapping[str, Mapping[str, float | None]]
@@ -39,7 +39,7 @@ def print_gain(name: str, noise: str, summary: Mapping[str, Any], runs: Sequence
         f"{name}: standard deviation of least squares at {noise}, % of the coefficient",
         header,
         [
-            [key, *("free" if (share := s[key]) is None else write_number(100 * share, digits=2) for s in sources)]
+            [key, *("free" if (share := s[key]) is None else write_rough(100 * share) for s in sources)]
             for key in sources[0]
         ],
     )
@@ -68,7 +68,7 @@ def print_reached(
         f"{name}: predicted standard deviation at {noise}, % of the coefficient (median)",
         ["bearing and unknown", "designed runs", f"at most {100 * accuracy:g}"],
         [
-            [key, write_number(100 * share, digits=2), "" if share <= accuracy else "not reached"]
+            [key, write_rough(100 * share), "" if share <= accuracy else "not reached"]
             for key, share in predicted.items()
         ],
     )
@@ -85,11 +85,11 @@ def print_reached(
     worst = rank(short)[0]
     say(
         f"{100 * accuracy:g} % can't be reached with {len(chosen)} runs for {len(short)} of {len(predicted)} "
-        f"coefficients; the worst, {worst}, is known to {write_number(100 * short[worst], digits=2)} % at best"
+        f"coefficients; the worst, {worst}, is known to {write_rough(100 * short[worst])} % at best"
     )
     for cure in reversed(rank(cures)):
         enough = " (enough)" if cures[cure] <= accuracy else ""
-        say(f"with {cure} the worst is {write_number(100 * cures[cure], digits=2)} %{enough}")
+        say(f"with {cure} the worst is {write_rough(100 * cures[cure])} %{enough}")
 
 
 # --- for the numbers of bearing laws -----------------------------------------------------------------
@@ -123,10 +123,7 @@ def print_states(
     """The plans by the number of their states, and what the ``best`` of them tells of each number."""
     names = {plan: "; ".join(name_state(states[t]) for t in plan.states) for plan in [*plans, best]}
     where, runs = names[best], f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
-    rows = [
-        [f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", write_number(100 * plan.worst, digits=2)]
-        for plan in plans
-    ]
+    rows = [[f"{len(plan.states)}", names[plan], f"{len(plan.runs)}", write_rough(100 * plan.worst)] for plan in plans]
     table(
         f"{name}: the number that is known least, % (one standard deviation, at {noise})",
         ["states", "which", "runs", "worst, %"],
@@ -136,8 +133,8 @@ def print_states(
     rows = [
         [
             number,
-            write_number(100 * nothing[number], digits=2),
-            write_number(100 * after, digits=2),
+            write_rough(100 * nothing[number]),
+            write_rough(100 * after),
             "" if after <= accuracy else "not reached" if wanted else "not asked",
         ]
         for (number, after), wanted in zip(known.items(), candidates.wanted, strict=True)

@@ -14,6 +14,7 @@ from pipeline.data.operating import list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.combinations import WORTH, Combinations
 from pipeline.identification.quality import finite
+from pipeline.parameters.model import KINDS
 from pipeline.problem.determination import WEAKLY_BELOW, WELL_BELOW, Determined
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.identifiability import Identifiability, Solvability
@@ -36,10 +37,9 @@ from pipeline.reporting.blocks import (
     shade,
 )
 from pipeline.reporting.console import table
-from pipeline.reporting.fit_tables import choose_unit
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.write_numbers import write_number, write_percent
+from pipeline.write_numbers import write_number, write_percent, write_rough
 
 
 def summarize_diagnosis(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
@@ -254,7 +254,7 @@ def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
 
 def name_tolerance(kind: str, tolerance: float) -> str:
     """A kind of model parameter with its ``tolerance`` (in its unit), such as ``length (0.1 %)``."""
-    unit, factor = choose_unit(kind)
+    unit, factor = KINDS[kind].shown_unit
     return f"{kind} ({write_number(factor * tolerance, digits=3)} {unit})"
 
 
@@ -264,7 +264,7 @@ def print_budget(name: str, coefficients: Sequence[str], percent: Mapping[str, n
         f"{name}: systematic budget, what each tolerance does to a coefficient in percent (medians over speed)",
         ["coefficient", *percent],
         [
-            [coefficient, *(write_number(float(values[a]), digits=2) for values in percent.values())]
+            [coefficient, *(write_rough(float(values[a])) for values in percent.values())]
             for a, coefficient in enumerate(coefficients)
         ],
     )
@@ -277,7 +277,7 @@ def draw_budget(path: Path, coefficients: Sequence[str], percent: Mapping[str, n
     down, across = np.meshgrid(*map(np.arange, values.shape), indexing="ij")
     numbers = []
     for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
-        texts = [write_number(float(value), digits=2) for value in values[chosen]]
+        texts = [write_rough(float(value)) for value in values[chosen]]
         numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
     return write_panel(
         path,

@@ -14,14 +14,14 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, list_contradicted
 from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.model import KINDS
 from pipeline.problem.determination import Deviations, describe_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table, warn
-from pipeline.rotor.parameters import OF_SUPPORT, UNITS
 from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
-from pipeline.write_numbers import format_engineering, write_number, write_percent
+from pipeline.write_numbers import format_engineering, write_number, write_percent, write_rough
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,7 +90,7 @@ _SHOWN = {
 def _format(column: str, value: float | str) -> str:
     if isinstance(value, str):
         return value
-    return format_engineering(value) if column in ("modelled", "identified") else write_number(value, digits=2)
+    return format_engineering(value) if column in ("modelled", "identified") else write_rough(value)
 
 
 def describe_verdicts(about: Mapping[str, Any]) -> str:
@@ -147,7 +147,7 @@ def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]
     table: dict[str, list[Any]] = {
         "kind": [number.parameter.kind for number in every],
         "of": [number.parameter.label for number in every],
-        "unit": [UNITS[number.parameter.kind] for number in every],
+        "unit": [number.parameter.row.unit for number in every],
         "prior_std": [number.parameter.deviation for number in every],
         "value": [number.value * number.parameter.deviation for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
@@ -169,31 +169,23 @@ def list_parameters(
     rows = []
     for name, number in fitted.items():
         (kind, _, place), prior, value = name.partition(" "), number["prior_deviation"], number["value"]
-        unit, factor = choose_unit(kind)
+        unit, factor = KINDS[kind].shown_unit
         remark = "" if number["deviation"] < told * prior else "as stated: the data do not tell"
         if not remark and "number" in number:
-            remark = f"{write_number(number['number'], number['number_deviation'])} {OF_SUPPORT[kind][1]}"
+            remark = f"{write_number(number['number'], number['number_deviation'])} {KINDS[kind].stated_unit}"
         rows.append(
             [
                 f"{spell(kind)} {place}".strip(),
                 unit,
                 f"0 +- {write_number(factor * prior, digits=3)}",
                 write_number(factor * value, factor * number["deviation"]),
-                write_number(round(value / prior, 2) + 0.0, digits=2),
+                write_rough(round(value / prior, 2) + 0.0),
                 remark,
             ]
         )
     return Table(
         caption, ["parameter", "unit", "stated", "found", "over its tolerance", "remark"], rows
     ).without_blank()
-
-
-def choose_unit(kind: str) -> tuple[str, float]:
-    """An engineer's unit, and what the parameter's is multiplied by."""
-    unit = UNITS[kind]
-    if kind in ("bow", "runout"):
-        return "um", 1e6
-    return {"": ("%", 100.0), "rad": ("deg", float(np.degrees(1))), "m": ("mm", 1e3)}.get(unit, (unit, 1.0))
 
 
 _ZERO_CELSIUS = 273.15
@@ -249,9 +241,7 @@ def tabulate_numbers(caption: str, numbers: Sequence[Mapping[str, Any]]) -> Tabl
                 number["label"],
                 write_number(number["value"], number["deviation"]),
                 number["unit"],
-                write_number(
-                    100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf, digits=2
-                ),
+                write_rough(100.0 * abs(number["deviation"] / number["value"]) if number["value"] else np.inf),
                 write_number(number["guess"]),
                 "" if number["determined"] else "the data do not tell it",
             ]
@@ -268,7 +258,7 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
         *([] if contradiction is None else [" ".join(contradiction)]),
         *(_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()),
         *(
-            f"At {write_number(100 * share, digits=2)} % of the points the bearing of node {node} lies beyond the "
+            f"At {write_rough(100 * share)} % of the points the bearing of node {node} lies beyond the "
             "end of its table, whose last coefficients are continued there: give a table that goes further."
             for node, share in law.get("outside_table", {}).items()
             if share > 0
@@ -288,7 +278,7 @@ def _describe_correction(
     if all(max(entry["percent"], entry["deviation_percent"]) < least_percent for entry in coefficients.values()):
         return f"The network corrects nothing of the law of node {node}: the readings do not ask for it."
     shown = ", ".join(
-        f"{name} {write_number(entry['percent'], digits=2)} +- {write_number(entry['deviation_percent'], digits=2)} %"
+        f"{name} {write_rough(entry['percent'])} +- {write_rough(entry['deviation_percent'])} %"
         for name, entry in coefficients.items()
     )
     out = list_contradicted(coefficients)

@@ -16,7 +16,7 @@ from pipeline.sweep.fit import ModalFit
 from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
 from pipeline.twin.mode_deviations import expect_criticals
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.write_numbers import write_number, write_percent
+from pipeline.write_numbers import write_number, write_percent, write_rough
 
 
 def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis) -> dict[str, Any]:
@@ -156,8 +156,8 @@ def _row(label: str, frequency: Reading, damping: Reading, left_over: str) -> li
     return [
         label,
         write_number(frequency.value / RAD_S_PER_RPM, digits=5),
-        write_number(frequency.half_width() / RAD_S_PER_RPM, digits=2),
-        write_number(damping.value, digits=2),
+        write_rough(frequency.half_width() / RAD_S_PER_RPM),
+        write_rough(damping.value),
         write_number(damping.half_width(), digits=1),
         left_over,
     ]

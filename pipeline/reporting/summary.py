@@ -40,7 +40,7 @@ from pipeline.trust.misfit import describe_held_out, describe_readings, measure_
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.write_numbers import count, format_engineering, write_number, write_percent
+from pipeline.write_numbers import count, format_engineering, write_number, write_percent, write_rough
 
 WIDTH = 100
 _INDENT = " " * 13
@@ -161,7 +161,7 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
         pairs = [(float(shown.identified.values[b, s, c]), float(shown.deviation[b, s, c])) for _, s in columns]
         cells = [f"{format_engineering(*pair):>22}" for pair in pairs]
         error = float(np.median(shown.measure_errors(b, name)))
-        lines.append("".join([head, *cells, f"{write_number(error, digits=2):>12}" if shown.compared else ""]))
+        lines.append("".join([head, *cells, f"{write_rough(error):>12}" if shown.compared else ""]))
     if len(rows) > _MOST_ROWS:
         lines.append(f"  and {len(rows) - _MOST_ROWS} more in 'identified_coefficients.csv'")
     return lines

@@ -20,7 +20,7 @@ from pipeline.reporting.blocks import BLUE, GREY, LOOKS, ORANGE, Axes, Curve, Fi
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_figure, write_panel
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.write_numbers import write_number, write_value
+from pipeline.write_numbers import write_number, write_rough, write_value
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,8 +157,8 @@ def print_starts(name: str, over: str, summary: Mapping[str, Any], seconds: floa
         [
             [
                 f"node {node} {coefficient}",
-                write_number(values["worst_mean_error_percent"], digits=2),
-                write_number(values["median_mean_error_percent"], digits=2),
+                write_rough(values["worst_mean_error_percent"]),
+                write_rough(values["median_mean_error_percent"]),
             ]
             for node, entry in summary["coefficients"].items()
             for coefficient, values in entry.items()

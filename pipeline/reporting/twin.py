@@ -35,7 +35,7 @@ from pipeline.twin.mode_deviations import Behaviour
 from pipeline.twin.modes import amplify, find_reached, follow_modes, require_separation
 from pipeline.twin.prediction import PredictedVibration, sample_motion
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_rough
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,8 +185,7 @@ def print_twin(
         say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
         errors = (
-            f"{direction} {write_number(e['mean_error_percent'], digits=2)} % mean, "
-            f"{write_number(e['max_error_percent'], digits=2)} % max"
+            f"{direction} {write_rough(e['mean_error_percent'])} % mean, {write_rough(e['max_error_percent'])} % max"
             for direction, e in summary["displacement"].items()
         )
         say(f"error of the displacement over all speeds: {'; '.join(errors)}")

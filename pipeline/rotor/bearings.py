@@ -30,6 +30,7 @@ from pipeline.laws.numbers import LOAD, turn_axes
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
 from pipeline.laws.table import make_film_table, packaged_file, read_film_table
+from pipeline.write_numbers import write_number
 
 Operating = Mapping[str, np.ndarray]
 
@@ -217,7 +218,8 @@ class JournalTableConfig(_JournalBearing):
             span = (30 / np.pi) * speeds[i] / sommerfeld[i] * np.array([low, high])
             raise ConfigError(
                 f"a bearing's table must span the Sommerfeld numbers of all speeds, but it has {low:g} to {high:g} and "
-                f"{sommerfeld[i]:.3g} is needed: choose speeds from {span[0]:.0f} to {span[1]:.0f} rpm"
+                f"{write_number(sommerfeld[i], digits=3)} is needed: choose speeds from {span[0]:.0f} to "
+                f"{span[1]:.0f} rpm"
             )
         pure = table.tabulate(np.log(sommerfeld), self.preload or 0.0)
         return np.asarray(_scale(pure, load, self.radial_clearance, speeds) @ turn_axes(self.load_angle).T)
@@ -247,7 +249,7 @@ class SpeedTableConfig(_Bearing):
         if len(beyond := _find_beyond(rpm, low, high)):
             raise ConfigError(
                 f"a bearing's table must span all speeds, but it has {low:g} to {high:g} rpm and "
-                f"{rpm[beyond[0]]:.6g} rpm is needed: add a row, or choose speeds within the table"
+                f"{write_number(rpm[beyond[0]], digits=6)} rpm is needed: add a row, or choose speeds within the table"
             )
         return np.stack([np.interp(rpm, rows[:, 0], column) for column in rows[:, 1:].T], axis=1)
 

@@ -20,6 +20,7 @@ from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import DOF_PER_NODE, RotorModel, Seals, casing_dof, seal_dof
+from pipeline.write_numbers import write_number
 
 _NO_BLOCKS = np.empty((0, 0))
 
@@ -124,7 +125,7 @@ def solve(
     if not finite.all():
         raise PipelineError(
             "The dynamic stiffness must be regular to give a response, but it is singular at "
-            f"{speeds[~finite][0]:.6g} rad/s: check bearings and supports of the rotor"
+            f"{write_number(speeds[~finite][0], digits=6)} rad/s: check bearings and supports of the rotor"
         )
     result = np.empty_like(right, dtype=complex)
     result[:, system.order] = solution.swapaxes(1, 2)

@@ -33,6 +33,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import COLUMNS, NO_SEALS, RotorModel, Seals
 from pipeline.rotor.weight import GRAVITY
+from pipeline.write_numbers import write_number
 
 _LATERAL = (0, 1, 3, 4)
 """x, y, alpha, beta among ROSS's six DOF of a node (x, y, z, alpha, beta, theta)."""
@@ -283,7 +284,7 @@ class Stand:
         except np.linalg.LinAlgError:
             raise ConfigError(
                 f"a support must be held to give its bearing coefficients, but that of node {self.node} is not at "
-                f"{w:.6g} rad/s: add a bearing element from its node to the ground"
+                f"{write_number(w, digits=6)} rad/s: add a bearing element from its node to the ground"
             ) from None
         return np.asarray(matrix[:2, :2] - matrix[:2, 2:] @ solution)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from inspect import signature
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,8 +12,10 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import OF_COUPLING, ModelParameter
 from pipeline.rotor.ross_adapter import make_rotor, ross
+
+if TYPE_CHECKING:
+    from pipeline.parameters.model import ModelParameter
 
 
 def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bearings: BearingTable) -> Any:
@@ -25,11 +27,7 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
     Raises ConfigError where the rotor file can't be read, and for a base.
     """
     rs, base = ross(), make_rotor(config)
-    shifted = {
-        (parameter.kind, parameter.place): parameter.shift
-        for parameter in parameters
-        if parameter.kind not in ("known_coefficients", "runout")
-    }
+    shifted = {(parameter.kind, parameter.place): parameter.shift for parameter in parameters}
     young, density = 1.0 + shifted.get(("youngs_modulus", 0), 0.0), 1.0 + shifted.get(("density", 0), 0.0)
     shaft = [_change_material(one, young, density) for one in base.shaft_elements]
     discs = []
@@ -58,10 +56,9 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
         }
         masses.append(rs.PointMass(casing, mx=held.pop("mxx"), my=held.pop("myy"), tag=f"casing {support.node}"))
         standing.append(rs.BearingElement(casing, **held, tag=f"support of node {support.node}"))
-    coupling = {kind: (n, value) for (kind, n), value in shifted.items() if kind in OF_COUPLING}
-    if coupling:
-        node = next(iter(coupling.values()))[0]
-        stiffness, mass = (float(coupling.get(kind, (node, 0.0))[1]) for kind in OF_COUPLING)
+    couplings = ("coupling_stiffness", "coupling_mass")
+    for node in {node for kind, node in shifted if kind in couplings}:
+        stiffness, mass = (shifted.get((kind, node), 0.0) for kind in couplings)
         standing.append(rs.BearingElement(node, kxx=stiffness, cxx=0.0, mxx=mass, tag="coupling"))
     return rs.Rotor(shaft, discs, standing, masses)
 

@@ -25,7 +25,7 @@ from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.fit_tables import list_numbers
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import diagnose, expect, prepare
-from pipeline.write_numbers import write_value
+from pipeline.write_numbers import write_number, write_rough, write_value
 
 
 def say_promoted(config: Config) -> None:
@@ -87,8 +87,9 @@ def say_diagnosis(analysis: Analysis) -> None:
         if report.verdict is not Solvability.NOT_IDENTIFIABLE:
             members = [coefficient for coefficient in judged if coefficient.node in report.nodes]
             text += (
-                f"; condition number {np.median(report.condition):.2g} (worst {report.condition.max():.2g}); at "
-                f"{describe_noise(config)}, {expected.of}: {describe_determined(members)}"
+                f"; condition number {write_rough(np.median(report.condition))} (worst "
+                f"{write_rough(report.condition.max())}); at {describe_noise(config)}, {expected.of}: "
+                f"{describe_determined(members)}"
             )
         say(f"{config.name}: {text}")
 
@@ -119,8 +120,8 @@ def diagnose_laws(analysis: Analysis) -> dict[str, Any]:
     columns = [100 * information.prior, 100 * information.deviation, *([] if further is None else [further])]
     summary, rows = summarize_numbers(information, further), []
     for i, number in enumerate(list_numbers(summary, config)):
-        guess = f"{number['guess']:.4g} {number['unit']}".strip()
-        shown = [number["name"], guess, *(f"{column[i]:.2g}" for column in columns)]
+        guess = f"{write_number(number['guess'])} {number['unit']}".strip()
+        shown = [number["name"], guess, *(write_rough(column[i]) for column in columns)]
         rows.append([*shown, "" if number["determined"] else "not told by these data"])
     title = f"numbers of the bearing laws at their guesses, at {describe_noise(config)} (one standard deviation)"
     table(f"{config.name}: {title}", [*header, ""], rows)

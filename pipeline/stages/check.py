@@ -13,6 +13,7 @@ from pipeline.files import write_json
 from pipeline.reporting.console import say, table, warn
 from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord
+from pipeline.write_numbers import write_number
 
 THRESHOLDS = Path(__file__).parents[2] / "conf" / "thresholds"
 
@@ -42,7 +43,11 @@ def run(analysis: Analysis) -> StageRecord:
     if config.check.commit:
         _commit(config, failed, checks)
     for c in failed:
-        came = f"is missing (run the stages of {c.experiment} first)" if c.value is None else f"is {c.value:.3g}"
+        came = (
+            f"is missing (run the stages of {c.experiment} first)"
+            if c.value is None
+            else f"is {write_number(c.value, digits=3)}"
+        )
         warn(f"{c.experiment}: {c.metric} must be {c.rule}, but {came}. The limit: {c.rule.why}")
     if not failed:
         say(f"all {len(checks)} metrics hold")
@@ -53,13 +58,18 @@ def run(analysis: Analysis) -> StageRecord:
 
 def _show(check: Check) -> list[str]:
     """Value, limit, and whether it holds."""
-    value = "missing" if check.value is None else f"{check.value:.3g}"
+    value = "missing" if check.value is None else write_number(check.value, digits=3)
     return [value, str(check.rule), "ok" if check.met else "FAILED"]
 
 
 def _print_changed(checks: list[Check], share: float) -> None:
     rows = [
-        [c.experiment, f"{c.rule.file.removesuffix('.json')}: {c.metric}", f"{c.committed:.3g}", *_show(c)]
+        [
+            c.experiment,
+            f"{c.rule.file.removesuffix('.json')}: {c.metric}",
+            write_number(c.committed, digits=3),
+            *_show(c),
+        ]
         for c in checks
         if c.has_changed(share)
     ]

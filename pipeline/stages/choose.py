@@ -13,6 +13,7 @@ from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
 from pipeline.tracking import StageRecord
+from pipeline.write_numbers import write_number, write_rough
 
 _MODELS = {"law": "law", "hybrid": "hybrid", "network": "network_operating"}
 """From simple to free: a tie goes to the first."""
@@ -57,17 +58,17 @@ def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
         [
             [
                 candidate.name,
-                "-" if candidate.probability is None else f"{candidate.probability:.2g}",
+                "-" if candidate.probability is None else write_rough(candidate.probability),
                 f"{candidate.criterion - min(other.criterion for other in judged):.0f}",
                 f"{candidate.numbers:.0f}",
-                *(f"{candidate.held_out[label]:.3g}" for label in labels),
+                *(write_number(candidate.held_out[label], digits=3) for label in labels),
             ]
             for candidate in judged
         ],
     )
     for model in judged:
         if model.rejected:
-            say(f"{config.name}: the readings contradict {model.name} (probability {model.probability:.2g})")
+            say(f"{config.name}: the readings contradict {model.name} (probability {write_rough(model.probability)})")
     text = "the simplest that is not contradicted and predicts as well as the best"
     if chosen.rejected:
         text = "it predicts best, but the readings contradict every model: check rotor, probes and weights"

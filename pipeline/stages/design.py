@@ -17,6 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import write_json, write_text
 from pipeline.identification.quality import finite
 from pipeline.laws.law_set import make_laws
+from pipeline.parameters import weights
 from pipeline.problem.design import plan_states, predict_deviations, simulate_deviations
 from pipeline.problem.planning import choose_best, list_states, plan_coefficients, plan_numbers, reach
 from pipeline.problem.ranking import find_least
@@ -31,7 +32,6 @@ from pipeline.reporting.design_tables import (
     summarize_states,
 )
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import OF_WEIGHT
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.before_fit import describe_noise
@@ -101,7 +101,8 @@ def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
     print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
-    kinds = [] if weighed else [kind for kind in config.identify.model_parameters.deviations if kind in OF_WEIGHT]
+    stated = config.identify.model_parameters.deviations
+    kinds = [] if weighed else [kind.name for kind in weights.KINDS if kind.name in stated]
     without = "".join(f" identify.model_parameters.{kind}=null" for kind in kinds)
     numbers = {"accuracy": accuracy, "reached": best.worst <= accuracy, "predicted": predicted, "cures": cures}
     return chosen, speeds, numbers | {"speeds": speeds.model_dump()}, {"predicted": predicted}, without

@@ -34,6 +34,7 @@ from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import diagnose, load_modelled, load_quality, restore
 from pipeline.tracking import StageRecord
 from pipeline.twin.prediction import compare_held_out
+from pipeline.write_numbers import write_number
 
 
 def run(analysis: Analysis) -> StageRecord:
@@ -83,7 +84,10 @@ def run(analysis: Analysis) -> StageRecord:
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)
     for state, error in beyond.items():
         worst = max(entry["median_error_percent"] for names_of in error.values() for entry in names_of.values())
-        say(f"{config.name}: at {state}, which no run has, the worst coefficient is off by {worst:.3g} % (median)")
+        say(
+            f"{config.name}: at {state}, which no run has, the worst coefficient is off by "
+            f"{write_number(worst, digits=3)} % (median)"
+        )
     if beyond:
         metrics["unmeasured"] = beyond
     if loss.weighs_noise:
@@ -106,7 +110,7 @@ def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, Any]]
     for what, held_out in compared.items():
         model, rival = held_out["model_error_percent"], held_out["rival_error_percent"]
         told = "no prediction, since coefficients leave all bounds where nothing was fitted"
-        told = told if model is None else f"predicted to {model:.3g} % (root mean square)"
-        said = "no answer" if rival is None else f"{rival:.3g} %"
+        told = told if model is None else f"predicted to {write_number(model, digits=3)} % (root mean square)"
+        said = "no answer" if rival is None else f"{write_number(rival, digits=3)} %"
         say(f"{config.name}: held-out {what}: {told}; by {held_out['rival']}: {said}")
     return compared

@@ -13,6 +13,7 @@ from pipeline.stages.analysis import Analysis, require_own, write_data
 from pipeline.tracking import StageRecord
 from pipeline.twin.modes import StabilityMargin, find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 
 def run(analysis: Analysis) -> StageRecord:
@@ -41,8 +42,8 @@ def run(analysis: Analysis) -> StageRecord:
         )
     if not margin.stable:
         warn(
-            f"the modelled rotor is unstable somewhere (growth {margin.largest_growth:.3g} 1/s): its steady "
-            "vibration can't be measured"
+            f"the modelled rotor is unstable somewhere (growth {write_number(margin.largest_growth, digits=3)} 1/s): "
+            "its steady vibration can't be measured"
         )
     stability = {
         "largest_growth": margin.largest_growth,

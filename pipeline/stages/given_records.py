@@ -26,6 +26,7 @@ from pipeline.rotor.stored import load_rotor, place_probes
 from pipeline.stages.analysis import Analysis
 from pipeline.stages.measurement import load_dataset, prepare, restore
 from pipeline.tracking import StageRecord
+from pipeline.write_numbers import write_number, write_rough
 
 if TYPE_CHECKING:
     from pipeline.ingest.records import RecordsConfig
@@ -57,7 +58,7 @@ def run(analysis: Analysis) -> StageRecord:
             "error_percent": float(100 * np.linalg.norm(off) / np.linalg.norm(size)),
             "within_95_percent": float(100 * predicted.within[measured].mean()),
         }
-        message += f"; measured vectors depart by {metrics['error_percent']:.2g} % (root mean square), "
+        message += f"; measured vectors depart by {write_rough(metrics['error_percent'])} % (root mean square), "
         message += f"{metrics['within_95_percent']:.0f} % of them lie in their 95 % circles"
         if missing := list_missing(records):
             message += f"; not measured: {', '.join(missing)}"
@@ -118,7 +119,8 @@ def follow_day(name: str, records: Records, model: LinearVibration, reference: s
         return shift_to_day(conditions, model, reference)
     if (chance := judge_together(conditions, model, Estimates.RARE)) < Estimates.RARE:
         warn(
-            f"{name}: the records depart together from what their weights make (by chance in {chance:.1g} of tables), "
+            f"{name}: the records depart together from what their weights make (by chance in "
+            f"{write_number(chance, digits=1)} of tables), "
             "as on another day: name a condition of theirs with known weights as reference"
         )
     return model

@@ -30,6 +30,7 @@ from pipeline.tracking import StageRecord
 from pipeline.twin.at_conditions import say_beyond
 from pipeline.twin.prediction import error_percent
 from pipeline.twin.twin import Twin, build_twin, plan_twin, superpose_unseen
+from pipeline.write_numbers import write_rough
 
 
 @made_once(*ANSWER)
@@ -85,6 +86,6 @@ def _say_superposed(config: Config, summed: np.ndarray | str, summary: Mapping[s
         say(f"{beside} have no answer: {summed}")
         return
     size, error = 1e6 * np.abs(summed[at]), summary.get("influence_coefficients", {}).get("error_percent", {})
-    off = ", ".join(f"{direction} {percent:.2g} %" for direction, percent in error.items())
+    off = ", ".join(f"{direction} {write_rough(percent)} %" for direction, percent in error.items())
     shown = f"x {size[0]:.5f} um, y {size[1]:.5f} um at {config.machine.prediction.speed_rpm:g} rpm"
     say(f"{beside}: {shown}" + (f"; error over all speeds (root mean square) {off}" if off else ""))

@@ -15,6 +15,7 @@ from pipeline.reporting.console import say, table
 from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.measurement import prepare
 from pipeline.tracking import StageRecord
+from pipeline.write_numbers import write_number
 
 
 def run(analysis: Analysis) -> StageRecord:
@@ -34,7 +35,7 @@ def run(analysis: Analysis) -> StageRecord:
     rows, listed = [], []
     for trial in senses.trials:
         twin = next(j for j, other in enumerate(senses.trials) if other.sense == trial.sense.twin)
-        size = f"{trial.chi_square:.4g}" if np.isfinite(trial.chi_square) else "no fit"
+        size = write_number(trial.chi_square) if np.isfinite(trial.chi_square) else "no fit"
         rows.append([*trial.sense.words.split(", "), size, f"row {twin + 1}"])
         listed.append(
             {

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from pipeline.data.as_built import stand_on_pedestals
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import read_json, write_text
+from pipeline.parameters.as_built import stand_on_pedestals
 from pipeline.reporting.console import say
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.summary import draw_summary, write_summary

@@ -32,6 +32,7 @@ from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking import StageRecord
 from pipeline.tracking.model import exemplify
 from pipeline.trust.misfit import describe_readings, measure_misfit
+from pipeline.write_numbers import write_rough
 
 
 def run(analysis: Analysis) -> StageRecord:
@@ -116,7 +117,7 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     # NaN compares false.
     if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:
         warn(
-            f"{config.name}: the readings lie {misfit.distance:.2g} times as far from "
+            f"{config.name}: the readings lie {write_rough(misfit.distance)} times as far from "
             "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
             "conventions, rotor and excitation"
         )

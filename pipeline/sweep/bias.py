@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number, write_rough
 
 
 def respond_to_ramp(frequency: float, damping: float, speeds: np.ndarray, rate: float) -> np.ndarray:
@@ -194,9 +195,10 @@ def find_mode(
 def describe_bias(bias: SweepBias) -> str:
     """Write the bias as a sentence."""
     rpm = 1 / RAD_S_PER_RPM
-    shift = f"{100 * abs(bias.peak_shift):.2g} % too {'high' if bias.peak_shift > 0 else 'low'}"
+    shift = f"{write_rough(100 * abs(bias.peak_shift))} % too {'high' if bias.peak_shift > 0 else 'low'}"
     return (
-        f"a sweep of {abs(bias.rate) * rpm:.3g} rpm/s reads the natural frequency of {bias.frequency * rpm:.4g} rpm "
-        f"{shift}, and its damping ratio of {bias.damping:.2g} as {bias.damping_factor * bias.damping:.2g}: below "
-        f"{bias.limit * rpm:.2g} rpm/s the peak lags by less than {100 * bias.most:.3g} %"
+        f"a sweep of {write_number(abs(bias.rate) * rpm, digits=3)} rpm/s reads the natural frequency of "
+        f"{write_number(bias.frequency * rpm)} rpm {shift}, and its damping ratio of {write_rough(bias.damping)} as "
+        f"{write_rough(bias.damping_factor * bias.damping)}: below "
+        f"{write_rough(bias.limit * rpm)} rpm/s the peak lags by less than {write_number(100 * bias.most, digits=3)} %"
     )

@@ -34,6 +34,7 @@ import numpy as np
 from pipeline.errors import DataError
 from pipeline.sweep.bias import SteadyReading, decay_freely, find_mode, read_peak, respond_steadily, respond_to_ramp
 from pipeline.units import RAD_S_PER_RPM
+from pipeline.write_numbers import write_number
 
 Rows = np.ndarray | slice
 Respond = Callable[[float, float, np.ndarray, float], np.ndarray]
@@ -245,8 +246,8 @@ def _list_starts(
     if reading is None:
         raise DataError(
             "a run-up must have a peak with half its power on both sides, but the largest amplitude of "
-            f"{run_up.speeds[0] / RAD_S_PER_RPM:.4g} to {run_up.speeds[-1] / RAD_S_PER_RPM:.4g} rpm has not: give a "
-            "wider range (from_rpm, to_rpm)"
+            f"{write_number(run_up.speeds[0] / RAD_S_PER_RPM)} to {write_number(run_up.speeds[-1] / RAD_S_PER_RPM)} "
+            "rpm has not: give a wider range (from_rpm, to_rpm)"
         )
     frequency, damping = find_mode(reading, run_up.rate)
     first = [np.log([frequency * factor, max(damping, 0.01)]) for factor in (0.98, 1.0)]

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.sweep.bias import SteadyReading, SweepBias, measure_bias
 from pipeline.sweep.fit import ModalFit, RunUp, choose_sense, fit_decay, fit_single_and_pair, read_smoothed_peak
+from pipeline.write_numbers import write_number, write_rough
 
 if TYPE_CHECKING:
     from pipeline.ingest.run_up import RunUpConfig
@@ -115,8 +116,9 @@ def compare_natural_frequency(run_up: Mapping[str, Any], rpm: float, deviation: 
         "within": share <= 1,
         "share_of_interval": share,
         "sentence": (
-            f"first natural frequency: {rpm:.4g} +- {identified.half_width():.2g} rpm identified "
-            f"(95 %, {band:.2g} % wide), {measured.value:.4g} +- {measured.half_width():.2g} rpm in the run-up: they "
+            f"first natural frequency: {write_number(rpm)} +- {write_rough(identified.half_width())} rpm identified "
+            f"(95 %, {write_rough(band)} % wide), {write_number(measured.value)} +- "
+            f"{write_rough(measured.half_width())} rpm in the run-up: they "
             f"{'agree' if share <= 1 else 'contradict each other'} ({apart:+.2g} %)"
         ),
     }

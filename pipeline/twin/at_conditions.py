@@ -18,6 +18,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.write_numbers import write_rough
 
 
 def require_conditions(key: str, given: Mapping[str, float], measured: Mapping[str, np.ndarray]) -> None:
@@ -126,8 +127,9 @@ def evaluate_at(
         if lost or not (np.isfinite(sizes).all() and sizes.max() <= far * size.max()):
             raise ConfigError(
                 f"{key} must be conditions that the fitted functions can be continued to, but at {name_state(wanted)} "
-                f"{name} of node {data.nodes[b]} leaves all bounds ({sizes.min():.2g} to {sizes.max():.2g} "
-                f"{unit(name)}; at the data {size.min():.2g} to {size.max():.2g}): take a measured state, measure "
+                f"{name} of node {data.nodes[b]} leaves all bounds ({write_rough(sizes.min())} to "
+                f"{write_rough(sizes.max())} {unit(name)}; at the data {write_rough(size.min())} to "
+                f"{write_rough(size.max())}): take a measured state, measure "
                 "there, or fit model=law or model=hybrid, which physics continues"
             )
     return machine, table

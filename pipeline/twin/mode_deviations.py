@@ -24,12 +24,12 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.model import ModelParameter, rotor_change
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import BearingPlaces, bearing_places, shaft_rows
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.twin.modes import (
     CriticalSpeed,
     Stability,

@@ -26,8 +26,8 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import finite
 from pipeline.identification.readings import read_answer
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.model import of_machine_alone
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import of_machine_alone
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.rotor.bearing_table import BearingTable

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.config.machine import MachineConfig
-from pipeline.data.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.data.dataset import Excitation
 from pipeline.data.vibration_files import place_speed
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.identified import Answer
+from pipeline.parameters.as_built import build_rotor, refine_nodes, stand_on_pedestals
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import translation_dof

@@ -26,11 +26,11 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.schema import Config
-from pipeline.data.as_built import build_rotor, stand_on_pedestals
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
+from pipeline.parameters.as_built import build_rotor, stand_on_pedestals
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.twin.modes import find_modes, measure_stability

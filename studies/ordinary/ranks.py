@@ -35,7 +35,7 @@ from pipeline.config.compose import compose_config
 from pipeline.files import write_json
 from pipeline.impedance import to_coefficients
 from pipeline.laws.population import make_priors
-from pipeline.problem.model_parameters import ALWAYS_FITTED
+from pipeline.parameters.model import ALWAYS_FITTED
 from pipeline.rotor.stored import load_rotor
 from pipeline.rotor.weight import estimate_journals, find_static_loads
 from pipeline.units import RAD_S_PER_RPM

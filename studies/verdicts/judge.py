@@ -25,7 +25,6 @@ import yaml
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import PipelineError
@@ -33,6 +32,7 @@ from pipeline.files import write_json
 from pipeline.identification.fit import fit
 from pipeline.identification.identified import answer_of
 from pipeline.identification.training import setup_of
+from pipeline.parameters.as_built import stand_on_pedestals
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement

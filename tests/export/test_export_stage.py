@@ -14,9 +14,9 @@ from running import few, names_in
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
+from pipeline.parameters.model import ModelParameter, set_values, update_rotor
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
 from pipeline.rotor.ross_adapter import assemble, ross
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.stages.analysis import Analysis

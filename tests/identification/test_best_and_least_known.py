@@ -13,11 +13,11 @@ from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
+from pipeline.parameters.model import ModelParameter
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.slopes import invert
 from pipeline.reporting.diagnosis import describe_combinations, summarize_combinations
-from pipeline.rotor.parameters import ModelParameter
 
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 TWO = np.array([100.0, 120.0])

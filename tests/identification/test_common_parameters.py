@@ -10,14 +10,13 @@ from pydantic import ValidationError
 from running import composed
 from small_rotor import FITTED, NOISE, small_machine
 
-from pipeline.config.identification import ModelParametersConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import add_noise
 from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.training import setup_of
-from pipeline.problem.model_parameters import model_parameters
-from pipeline.rotor.parameters import ModelParameter
+from pipeline.parameters.identify import ModelParametersConfig
+from pipeline.parameters.model import ModelParameter, model_parameters
 
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 

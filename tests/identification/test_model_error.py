@@ -12,7 +12,6 @@ from conftest import Artifacts
 from training import dense_jacobian
 
 from pipeline.config.compose import compose_config
-from pipeline.data.as_built import AsBuiltConfig, build_rotor, simulate_as_built
 from pipeline.data.sensors import measure
 from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -20,10 +19,11 @@ from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.problem import OutputError
 from pipeline.identification.quality import mismatch, output_error_quality
 from pipeline.identification.training import setup_of
+from pipeline.parameters.as_built import AsBuiltConfig, build_rotor, simulate_as_built
+from pipeline.parameters.model import ModelParameter
 from pipeline.problem.configured import build_measurement, configure_excitations, configure_sensors
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.units import RAD_S_PER_RPM
 

@@ -18,9 +18,9 @@ from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.training import setup_of
+from pipeline.parameters.model import model_parameters
 from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import model_parameters
 from pipeline.rotor.bearing_table import BearingTable
 
 DIRECT, SHARED = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0), 0.2

@@ -11,8 +11,8 @@ from small_rotor import FITTED, small_machine
 
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
+from pipeline.parameters.model import USUAL, usual_tolerances
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import USUAL, usual_tolerances
 
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 SETUP = setup_of(composed(*FITTED))

@@ -25,8 +25,8 @@ from pipeline.identification.trained_network import TrainedNetworks, keep_all, s
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.impedance import PLACES
 from pipeline.laws.population import make_priors
+from pipeline.parameters.model import ModelParameter
 from pipeline.problem.measurement import Measurement
-from pipeline.rotor.parameters import ModelParameter
 
 FILM = ("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
 SMALL = ("loss.hidden=trained", "model.width=4", "loss.networks=4")

@@ -15,14 +15,14 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.errors import ConfigError
 from pipeline.identification.readings import sensor_model
+from pipeline.parameters import ground
+from pipeline.parameters.model import KINDS, ModelParameter, model_parameters, update_rotor
 from pipeline.problem.baseline import find_baseline
 from pipeline.problem.diagnosis import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
-from pipeline.problem.model_parameters import model_parameters
 from pipeline.problem.response import derive_by_parameters, impedance_change, respond
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import OF_SUPPORT, UNITS, ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
@@ -78,13 +78,13 @@ def measurement() -> Measurement:
     return replace(made, parameters=parameters, values=tuple(0.3 * np.cos(np.arange(len(parameters)))))
 
 
-_OF_GROUND = (*OF_SUPPORT, "base_participation", "base_softening")
+_OF_GROUND = tuple(kind.name for kind in ground.KINDS)
 
 
 def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
     """One for each disc, weight, probe and known coefficient."""
-    count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in UNITS}
-    assert count == dict.fromkeys(UNITS, 1) | dict.fromkeys(_OF_GROUND, 0) | {
+    count = {kind: sum(p.kind == kind for p in measurement.parameters) for kind in KINDS}
+    assert count == dict.fromkeys(KINDS, 1) | dict.fromkeys(_OF_GROUND, 0) | {
         "disc_mass": 2,
         "disc_inertia": 2,
         "bearing_position": 2,

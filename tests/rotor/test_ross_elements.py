@@ -17,11 +17,11 @@ from pipeline.data.dataset import Excitation, VibrationDataset, require_synchron
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import integrate, simulate
 from pipeline.errors import ConfigError, DataError
+from pipeline.parameters.model import ModelParameter, rotor_change
 from pipeline.problem.residual import bearing_equations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import RotorFileBearingConfig
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, rotor_change
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross
 from pipeline.rotor.stored import load_rotor
 from pipeline.twin.modes import find_modes

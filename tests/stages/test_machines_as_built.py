@@ -10,12 +10,12 @@ import scipy.linalg
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.as_built import stand_on_pedestals
 from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
 from pipeline.data.sensors import list_directions, measure, project
 from pipeline.data.simulate import integrate
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.evaluation.repeats import summarize_refits
+from pipeline.parameters.as_built import stand_on_pedestals
 from pipeline.problem.configured import (
     build_measurement,
     configure_excitations,

@@ -10,7 +10,7 @@ import pytest
 from frequency_responses import LINES, RATE, Lines, respond
 from levitated import RIG, STATED, build_machine, fit_bands, read, weigh_modes
 
-from pipeline.rotor.parameters import ModelParameter, update_rotor
+from pipeline.parameters.model import ModelParameter, update_rotor
 from pipeline.sweep.bias import respond_steadily
 
 

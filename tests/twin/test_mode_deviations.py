@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from conftest import Machine
 
+from pipeline.parameters.model import ModelParameter, rotor_change, update_rotor
 from pipeline.reporting.summary import describe_stability
 from pipeline.reporting.twin import summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, rotor_change, update_rotor
 from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eigenvalues, derive_place, deviate
 from pipeline.twin.modes import (
     WhirlModes,

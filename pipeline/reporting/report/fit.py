@@ -43,7 +43,7 @@ from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import list_parameters
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.trust.misfit import describe_readings, measure_misfit
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_rough
 
 _MOST_TABLES, _ROWS = 4, 5
 
@@ -192,9 +192,9 @@ def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
     rows = [
         [
             what,
-            write_number(entry["model_error_percent"], digits=2),
+            write_rough(entry["model_error_percent"]),
             entry["rival"],
-            write_number(entry["rival_error_percent"], digits=2),
+            write_rough(entry["rival_error_percent"]),
         ]
         for what, entry in content.files.get("metrics", {}).get("held_out", {}).items()
     ]

@@ -19,9 +19,9 @@ from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import integrate, simulate
+from pipeline.parameters.model import ModelParameter, update_rotor
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import OF_COUPLING, OF_DISC, OF_SHAFT, ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
 
 
@@ -82,12 +82,14 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
             }
         )
     model = load_rotor(fine)
-    changes = [ModelParameter(kind, getattr(built, kind), "", value=1.0) for kind in OF_SHAFT]
-    changes += [
-        ModelParameter(kind, getattr(built, kind), "", node, value=1.0) for kind in OF_DISC for node in model.disc_nodes
+    everywhere, discs, coupled = (0,), model.disc_nodes, (built.coupling_node * built.refinement,)
+    places = {"youngs_modulus": everywhere, "density": everywhere, "disc_mass": discs, "disc_inertia": discs}
+    places |= {"coupling_stiffness": coupled, "coupling_mass": coupled}
+    changes = [
+        ModelParameter(kind, getattr(built, kind) or 0.0, "", node, value=1.0)
+        for kind, nodes in places.items()
+        for node in nodes
     ]
-    at = built.coupling_node * built.refinement
-    changes += [ModelParameter(kind, getattr(built, kind) or 0.0, "", at, value=1.0) for kind in OF_COUPLING]
     return update_rotor(model, changes)
 
 

@@ -1,0 +1,138 @@
+"""Uncertain numbers of probes, and what slow roll leaves of runout.
+
+Legend: T parameters, P channels, n lateral DOF. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pipeline.config.quantities import Length, PositiveAngle
+from pipeline.data.dataset import VibrationDataset, project_direction
+from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Machine, Place, PositiveShare, require_on_shaft
+from pipeline.rotor.interpolation import shaft_rows
+from pipeline.rotor.model import RotorModel
+
+if TYPE_CHECKING:
+    from pipeline.parameters.model import ModelParameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ProbeKind(Kind):
+    """Which of a probe's numbers it shifts."""
+
+    shifts: Literal["gain", "angle", "position"]
+    scope: Literal["machine", "runs", "run"] = "run"
+
+
+def sensor_matrix(dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]) -> np.ndarray:
+    """(P, n) what each channel shows of the rotor's lateral DOF at the values of the parameters."""
+    matrix = dataset.sensor_matrix(rotor)
+    for p in {parameter.place for parameter in parameters if isinstance(parameter.row, _ProbeKind)}:
+        matrix[p] = _channel(dataset, p, rotor, _probe(parameters, p))
+    return matrix
+
+
+def sensor_change(
+    parameter: ModelParameter, dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]
+) -> np.ndarray | None:
+    """(P, n) derivative of :func:`sensor_matrix` by the parameter; None for one that changes nothing of it."""
+    kind, place = parameter.row, parameter.place
+    if rotor.casings and kind.move:  # a casing moves by what bearings feel of the DOF, linearly
+        shifted = kind.move(rotor, place, parameter.deviation)
+        matrices = [sensor_matrix(dataset, moved, parameters) for moved in (shifted, rotor)]
+        return np.asarray(matrices[0] - matrices[1])
+    if not isinstance(kind, _ProbeKind):
+        return None
+    probe = _probe(parameters, place)
+    if kind.shifts == "gain":
+        row = _channel(dataset, place, rotor, probe) / (1 + probe["gain"])
+    elif kind.shifts == "angle":  # the derivative of a direction is the direction a quarter turn on
+        row = _channel(dataset, place, rotor, {**probe, "angle": probe["angle"] + np.pi / 2})
+    else:
+        row = _channel(dataset, place, rotor, probe, slope=True)
+    change = np.zeros((len(dataset.channels), rotor.n_dof))
+    change[place] = parameter.deviation * row
+    return change
+
+
+def runout(parameters: Sequence[ModelParameter], n_channels: int) -> np.ndarray:
+    """(P,) m that each channel shows of the shaft's surface at the values of the parameters."""
+    shown = np.zeros(n_channels, dtype=complex)
+    for parameter in parameters:
+        if parameter.kind == "runout":
+            shown[parameter.place] += parameter.shift * PARTS[parameter.detail]
+    return shown
+
+
+def _probe(parameters: Sequence[ModelParameter], channel: int) -> dict[str, float]:
+    """Shifts of a channel's gain, angle and position along the shaft."""
+    shifts = {"gain": 0.0, "angle": 0.0, "position": 0.0}
+    for parameter in parameters:
+        if isinstance(parameter.row, _ProbeKind) and parameter.place == channel:
+            shifts[parameter.row.shifts] = parameter.shift
+    return shifts
+
+
+def _channel(
+    dataset: VibrationDataset, channel: int, rotor: RotorModel, probe: Mapping[str, float], slope: bool = False
+) -> np.ndarray:
+    """(n,) a channel's row, or its ``slope`` along the shaft, 1/m."""
+    node, angle = dataset.channels[channel]
+    cosine, sine = project_direction(angle)
+    turned = (cosine + 1j * sine) * np.exp(1j * probe["angle"])
+    x, y = shaft_rows(rotor, node, probe["position"], slope)
+    return np.asarray((1 + probe["gain"]) * (turned.real * x + turned.imag * y))
+
+
+def _find_runouts(machine: Machine) -> list[Place]:
+    shown = machine.probes_on_shaft if machine.shows_bow else []
+    return [Place(f"{probe.label} {component}", probe.place, component) for probe in shown for component in PARTS]
+
+
+KINDS = (
+    _ProbeKind(
+        name="probe_gain",
+        prior=PositiveShare,
+        meaning="of the scale of each probe, as a share",
+        places=lambda machine: machine.probes,
+        usual=0.02,
+        shifts="gain",
+    ),
+    _ProbeKind(
+        name="probe_angle",
+        prior=PositiveAngle,
+        meaning="of the angle of each probe",
+        places=lambda machine: machine.probes,
+        unit="rad",
+        usual=np.pi / 180,
+        mirrored=True,
+        shifts="angle",
+    ),
+    _ProbeKind(
+        name="probe_position",
+        prior=Length,
+        meaning="of the place of each probe along the shaft",
+        places=lambda machine: machine.probes_on_shaft,
+        missing="probes on casings alone",
+        require=lambda parameter, machine: require_on_shaft(
+            parameter, machine, machine.dataset.channels[parameter.place][0], max
+        ),
+        unit="m",
+        shifts="position",
+    ),
+    Kind(
+        name="runout",
+        prior=Length,
+        meaning="of what slow roll leaves, a vector that a probe shows at all speeds alike; real and imaginary part",
+        places=_find_runouts,
+        missing=UNSHOWN,
+        unit="m",
+        shown=("um", 1e6),
+        scope="runs",
+    ),
+)

@@ -1,0 +1,204 @@
+"""Uncertain numbers of the weights: of each by itself, of all alike, and of all of one stated size.
+
+A weight of the stated size U at the stated angle acts as ``turn u (1 + a |u|)`` with ``u = U exp(gain) share``.
+
+Legend: T parameters, S speeds, R runs, n lateral DOF. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import PositiveFloat
+
+from pipeline.config.quantities import PositiveAngle, WeightLaw
+from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
+from pipeline.parameters.kind import PARTS, Kind, Machine, Place, PositiveShare, everywhere, number_excitations
+from pipeline.rotor.model import RotorModel
+
+if TYPE_CHECKING:
+    from pipeline.parameters.model import ModelParameter
+
+
+def write_label(excitation: Excitation) -> str:
+    """What is written on a weight: all of the same stated size are one weight, wherever they are put."""
+    return f"{1e6 * excitation.magnitude:.6g} g mm"
+
+
+def size_excitations(dataset: VibrationDataset) -> np.ndarray:
+    """(S, R) root of N: of the forces that are stated of each run, their sizes summed."""
+    forces = np.zeros(dataset.frequencies.shape)
+    for excitation in dataset.excitations:
+        run = dataset.runs.index(excitation.run)
+        share = dataset.frequencies[:, run] ** 2 if excitation.kind == "unbalance" else 1.0
+        forces[:, run] += excitation.magnitude * share
+    return np.sqrt(forces)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _WeightKind(Kind):
+    """Which of a weight's numbers it shifts, and of which weights, by their positions in their runs."""
+
+    shifts: Literal["angle", "gain", "share", "law"]
+    belongs: Callable[[ModelParameter, int, Excitation], bool]
+    missing: str = "no run with an unbalance"
+    scope: Literal["machine", "runs", "run"] = "runs"
+
+
+def update_excitations(dataset: VibrationDataset, parameters: Sequence[ModelParameter]) -> VibrationDataset:
+    """The data set with the weights at the values of the parameters."""
+    uncertain = [p for p in parameters if isinstance(p.row, _WeightKind)]
+    weights = number_excitations(dataset.excitations)
+    updated = [_vector(weight, _act(weight, i, uncertain)[0]) for i, weight in weights]
+    return replace(dataset, excitations=tuple(updated)) if uncertain else dataset
+
+
+def force_change(
+    parameter: ModelParameter, parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset
+) -> np.ndarray | None:
+    """(S, n, R) N, derivative of the forces by a parameter, at the values of all; None where it moves none.
+
+    ``dataset`` has the weights as they are stated.
+    """
+    changes = []
+    for i, weight in number_excitations(dataset.excitations):
+        if number := _shifted(parameter, weight, i):
+            by_number = _act(weight, i, parameters)[1][number]
+            changes.append(_vector(weight, parameter.deviation * _part(parameter) * by_number))
+    return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
+
+
+def _shifted(parameter: ModelParameter, weight: Excitation, i: int) -> str:
+    """The number of a weight that the parameter shifts, or nothing."""
+    kind = parameter.row
+    if isinstance(kind, _WeightKind) and weight.kind == "unbalance" and kind.belongs(parameter, i, weight):
+        return kind.shifts
+    return ""
+
+
+def _part(parameter: ModelParameter) -> complex:
+    """Along which part of a number it shifts: the law's has two."""
+    return PARTS[parameter.detail] if parameter.kind == "weight_law" else 1.0
+
+
+def _act(weight: Excitation, i: int, parameters: Sequence[ModelParameter]) -> tuple[complex, dict[str, complex]]:
+    """What a weight acts as, and the derivative of that by each of its numbers."""
+    numbers: dict[str, complex] = {"angle": weight.phase, "gain": 0.0, "share": 1.0, "law": 0.0}
+    for parameter in parameters:
+        if number := _shifted(parameter, weight, i):
+            numbers[number] += parameter.shift * _part(parameter)
+    share, law = numbers["share"].real, numbers["law"]
+    size, turn = float(weight.magnitude * np.exp(numbers["gain"].real) * share), np.exp(1j * numbers["angle"].real)
+    by_size = turn * (1 + 2 * law * size)
+    return turn * size * (1 + law * size), {
+        "angle": 1j * turn * size * (1 + law * size),
+        "gain": by_size * size,
+        "share": by_size * (size / share) if share else 0j,
+        "law": turn * size**2,
+    }
+
+
+def _vector(excitation: Excitation, value: complex) -> Excitation:
+    return replace(excitation, magnitude=abs(value), phase=float(np.angle(value)))
+
+
+def bend_law(parameter: ModelParameter) -> complex:
+    """What one deviation adds to a of the weights' law, 1/(kg m); zero for a parameter that is none of it."""
+    return parameter.deviation * _part(parameter) if parameter.kind == "weight_law" else 0j
+
+
+def _find_all(machine: Machine) -> list[Place]:
+    return everywhere(machine) if machine.weights else []
+
+
+def _find_each(machine: Machine) -> list[Place]:
+    return [Place(f"{weight.run} node {weight.node}", i, weight.run) for i, weight in machine.weights]
+
+
+def _find_labels(machine: Machine) -> list[Place]:
+    labels = dict.fromkeys(write_label(weight) for _, weight in machine.weights if weight.magnitude)
+    return [Place(label, 0, label) for label in labels]
+
+
+def _is_that(parameter: ModelParameter, i: int, weight: Excitation) -> bool:
+    return (weight.run, i) == (parameter.detail, parameter.place)
+
+
+def _has_label(parameter: ModelParameter, _: int, weight: Excitation) -> bool:
+    return parameter.detail == write_label(weight)
+
+
+KINDS = (
+    _WeightKind(
+        name="unbalance_magnitude",
+        prior=PositiveShare,
+        meaning="of each weight, as a share",
+        places=_find_each,
+        usual=0.02,
+        scope="run",
+        shifts="share",
+        belongs=_is_that,
+    ),
+    _WeightKind(
+        name="unbalance_phase",
+        prior=PositiveAngle,
+        meaning="of the angle of each weight",
+        places=_find_each,
+        unit="rad",
+        usual=np.pi / 90,
+        scope="run",
+        mirrored=True,
+        shifts="angle",
+        belongs=_is_that,
+    ),
+    _WeightKind(
+        name="weight_angle",
+        prior=PositiveAngle,
+        meaning="of the angle of all weights alike, as a keyphasor's unknown place",
+        places=_find_all,
+        unit="rad",
+        mirrored=True,
+        shifts="angle",
+        belongs=lambda _, __, ___: True,
+    ),
+    _WeightKind(
+        name="weight_law",
+        prior=WeightLaw,
+        meaning="of the a in U (1 + a |U|), as all weights act; real and imaginary part",
+        places=lambda machine: [Place(component, 0, component) for component in PARTS if machine.weights],
+        unit="1/(kg m)",
+        shifts="law",
+        belongs=lambda _, __, ___: True,
+    ),
+    _WeightKind(
+        name="weight_gain",
+        prior=PositiveFloat,
+        meaning="of the logarithm of a factor of all weights alike, as an unknown unit",
+        places=_find_all,
+        unit="ln",
+        shifts="gain",
+        belongs=lambda _, __, ___: True,
+    ),
+    _WeightKind(
+        name="label_gain",
+        prior=PositiveFloat,
+        meaning="of the logarithm of a factor of all weights of one stated size",
+        places=_find_labels,
+        unit="ln",
+        shifts="gain",
+        belongs=_has_label,
+    ),
+    _WeightKind(
+        name="label_angle",
+        prior=PositiveAngle,
+        meaning="of the angle of all weights of one stated size",
+        places=_find_labels,
+        unit="rad",
+        mirrored=True,
+        shifts="angle",
+        belongs=_has_label,
+    ),
+)
