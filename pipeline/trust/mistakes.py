@@ -22,6 +22,7 @@ import numpy as np
 from pipeline.coefficients import is_direct
 from pipeline.data.sensors import project
 from pipeline.errors import IdentifiabilityError
+from pipeline.identification.inputs import evaluate_functions
 from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
@@ -143,7 +144,8 @@ def quick_fit(
     place, guess = np.log(measurement.dataset.speeds), measurement.guess.sizes(measurement.unknowns)
     span = place[-1] - place[0]
     scaled = 2 * (place - place[0]) / span - 1 if span > 0 else np.zeros(len(place))
-    functions = np.polynomial.chebyshev.chebvander(scaled, min(terms, len(place)) - 1)  # (S, K)
+    series = evaluate_functions("chebyshev", min(terms, len(place)) - 1, scaled)
+    functions = np.column_stack([np.ones(len(place)), series])  # (S, K)
     begins, sizes = [], []
     for start in starts:
         size = np.median(np.abs(start), axis=1)

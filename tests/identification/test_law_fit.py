@@ -127,7 +127,7 @@ def test_a_run_that_was_not_measured_at_a_point_says_nothing_there() -> None:
     spoiled = np.where(present[:, None], measurement.dataset.displacement, 0.0)
     less = replace(measurement, dataset=replace(measurement.dataset, displacement=spoiled, present=present))
     whole, part = (prepare_output_error(one, setup("law")).problem for one in (measurement, less))
-    weights = torch.zeros(1, 1, whole.size, dtype=torch.float64)
+    weights = torch.zeros(1, 1, whole.places.size, dtype=torch.float64)
     every, rest = whole.deviations(weights)[0][0], part.deviations(weights)[0][0]
     assert part.readings.size == 2 * 4 * present.sum()
     shown = torch.as_tensor(present)[:, None].expand(every.shape)

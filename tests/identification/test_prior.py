@@ -25,7 +25,7 @@ def fitted(*overrides: str, seed: int = 0) -> tuple[OutputErrorFit, np.ndarray]:
 
 
 def without_prior(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Basis, "prior_precision", lambda self, *_: torch.zeros(self.n_features))
+    monkeypatch.setattr(Basis, "prior_precision", lambda self, *_: torch.zeros(self.n_features, dtype=torch.float64))
 
 
 def direct(fit: OutputErrorFit, truth: np.ndarray) -> np.ndarray:

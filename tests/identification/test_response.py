@@ -291,7 +291,7 @@ def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
 
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     short = problem.truncated(4)
-    free = 0.1 * torch.randn(1, 1, short.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    free = 0.1 * torch.randn(1, 1, short.places.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     long = short.with_features(free, problem.features.shape[-1])
     for one, other in zip(short.predicted(free), problem.predicted(long), strict=True):
         torch.testing.assert_close(one, other)

@@ -61,7 +61,7 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     import torch
 
     fitted = drawn.problem
-    model = replace(fitted.model, hidden=(3, 2))
+    model = replace(fitted.basis.model, hidden=(3, 2))
     generator = torch.Generator().manual_seed(0)
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
     inputs = model.scaled_inputs(fitted.measurement.dataset.points)
