@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import make_dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -108,10 +109,9 @@ def test_repeats_judge_the_size_of_what_is_left_over() -> None:
 def held_out(predicted: complex) -> Any:
     """Two readings of 1 that were not fitted, with a noise of a tenth of what is predicted."""
     data = SimpleNamespace(n_readings=2, displacement=np.ones((2, 1, 1)), present=np.ones((2, 1)))
-    measurement = SimpleNamespace(
-        dataset=data, noise=None, baseline=0.0, deviation_of=lambda read, baseline, factor: 0.1 * np.abs(read)
+    measurement = make_dataclass("Read", ["dataset", "noise", "baseline", "deviation_of"])(
+        data, None, 0.0, lambda read, baseline, factor: 0.1 * np.abs(read)
     )
-    measurement.with_noise = lambda noise: measurement
     problem = SimpleNamespace(displacement=lambda weights: np.full((2, 1, 1), predicted), measurement=measurement)
     problem.update = lambda weights: problem
     return problem
