@@ -19,14 +19,14 @@ from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.force_parameters import bow_force, update_excitations
-from pipeline.problem.model_parameters import runout, sensor_matrix, turns_with_rotor
+from pipeline.problem.model_parameters import runout, sensor_matrix, set_values, turns_with_rotor
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
+from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
 
 
@@ -168,7 +168,7 @@ class Measurement:
         sensors, bow = sensor_matrix(data, rotor, parameters), bow_force(parameters, self.rotor)
         solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
         shown = runout(parameters, len(data.channels))
-        return solved.shifted(shown[:, None] * self.synchronous())
+        return solved.shifted(shown[:, None] * turns_with_rotor(data))
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
@@ -231,10 +231,6 @@ class Measurement:
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
         return self.known.with_unknowns(self.unknowns, values)
-
-    def synchronous(self) -> np.ndarray:
-        """(R,) mask of the runs that turn with the rotor."""
-        return turns_with_rotor(self.dataset)
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

@@ -79,6 +79,13 @@ def model_parameters(
     return tuple(parameters)
 
 
+def set_values(
+    parameters: Sequence[ModelParameter], values: Sequence[float] | np.ndarray
+) -> tuple[ModelParameter, ...]:
+    """The parameters at other ``values`` (T,), in prior deviations."""
+    return tuple(replace(parameter, value=float(v)) for parameter, v in zip(parameters, values, strict=True))
+
+
 USUAL = {
     "youngs_modulus": 0.01,
     "density": 0.005,

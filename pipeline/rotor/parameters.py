@@ -104,21 +104,9 @@ class ModelParameter:
         return self.value * self.deviation
 
     @property
-    def step(self) -> float:
-        """By how many deviations the number is off there."""
-        return float(np.expm1(self.shift)) / self.deviation if self.kind in OF_SUPPORT else self.value
-
-    @property
     def slope(self) -> float:
-        """The derivative of :attr:`step` by the value."""
+        """The derivative by the value of what it is off by, in deviations."""
         return float(np.exp(self.shift)) if self.kind in OF_SUPPORT else 1.0
-
-
-def set_values(
-    parameters: Sequence[ModelParameter], values: Sequence[float] | np.ndarray
-) -> tuple[ModelParameter, ...]:
-    """The parameters at other ``values`` (T,), in prior deviations."""
-    return tuple(replace(parameter, value=float(v)) for parameter, v in zip(parameters, values, strict=True))
 
 
 def rotor_change(parameter: ModelParameter, rotor: RotorModel) -> RotorModel | None:
@@ -160,7 +148,11 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter]) -> Rot
     for parameter in parameters:
         if parameter.kind in MOVED and parameter.value:
             rotor = MOVED[parameter.kind][0](rotor, parameter.place, parameter.shift)
-        change = rotor_change(parameter, rotor) if parameter.value else None
-        if change is not None:
-            sums = {name: total + parameter.step * getattr(change, name) for name, total in sums.items()}
+        if parameter.value and (change := rotor_change(parameter, rotor)) is not None:
+            step = (
+                float(np.expm1(parameter.shift)) / parameter.deviation
+                if parameter.kind in OF_SUPPORT
+                else parameter.value
+            )
+            sums = {name: total + step * getattr(change, name) for name, total in sums.items()}
     return replace(rotor, **sums)

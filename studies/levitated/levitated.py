@@ -31,10 +31,11 @@ from scipy.optimize import brentq, least_squares
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.files import write_json
+from pipeline.problem.model_parameters import set_values
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.model import RotorModel, translation_dof
-from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
+from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.sweep.bias import respond_steadily
 from pipeline.sweep.fit import ModalFit, RunUp, fit_near

@@ -15,8 +15,9 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import set_values
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.parameters import ModelParameter, set_values, update_rotor
+from pipeline.rotor.parameters import ModelParameter, update_rotor
 from pipeline.rotor.ross_adapter import assemble, ross
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.stages.analysis import Analysis

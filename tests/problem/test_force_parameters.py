@@ -12,9 +12,10 @@ from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.problem.force_parameters import bow_force, update_excitations
+from pipeline.problem.model_parameters import set_values
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.parameters import ModelParameter, set_values
+from pipeline.rotor.parameters import ModelParameter
 from pipeline.rotor.stored import load_rotor
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
