@@ -75,7 +75,7 @@ def measurement() -> Measurement:
     unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, BearingUnknowns(("kxx", "kyy"))), planes=(3,))
     made = Measurement(model, data, known, NoiseModel(1e-7, 0.0), unknowns, Guess(1e7, 1e4))
     parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0)
-    return replace(made, parameters=parameters, values=tuple(0.3 * np.cos(np.arange(len(parameters)))))
+    return replace(made, parameters=parameters).update(0.3 * np.cos(np.arange(len(parameters))))
 
 
 _OF_GROUND = (*OF_SUPPORT, "base_participation", "base_softening")

@@ -98,7 +98,7 @@ def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     """Supports as masses on links at nodes of their own; with shaft and casings, one bearing or both on soft ground."""
     rotor, w = load_rotor(config(nodes)), SPEEDS[7]
-    exported = export_rotor(config(nodes), (), np.zeros(0), films())
+    exported = export_rotor(config(nodes), (), films())
     places = [6 * n for n in range(9)] + [54 + 3 * i for i in range(len(nodes))]  # a link has x, y and z
     lateral = [p + d for p in places for d in ((0, 1, 3, 4) if p < 54 else (0, 1))]
     at = np.ix_(lateral, lateral)
