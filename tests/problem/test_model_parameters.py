@@ -138,7 +138,7 @@ def test_a_baseline_is_taken_off_as_its_own_bearings_had_it(measurement: Measure
     drifting = model_parameters({"bearing_drift": 0.02}, stated.rotor, data, stated.known, unknowns)
     values = np.array([(scales[parameter.detail][parameter.place] - 1) / 0.02 for parameter in drifting])
     drifted = replace(stated, dataset=data, unknowns=unknowns, parameters=drifting).update(values)
-    problem = drifted.with_as_found(find_baseline(drifted, stated.known, least=1e-12))
+    problem = replace(drifted, as_found=find_baseline(drifted, stated.known, least=1e-12))
     expected = [w.magnitude * np.exp(1j * w.phase) for w in discs]
     np.testing.assert_allclose(np.array(problem.as_found)[[3, 8]], expected, rtol=1e-5)
     model, none = sensor_model(problem), torch.zeros(1, 0, dtype=torch.complex128)
