@@ -15,6 +15,7 @@ from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import set_values
 
 if TYPE_CHECKING:
     import torch
@@ -32,7 +33,7 @@ def conclude(fit: OutputErrorFit) -> Fit:
         summary["model_parameters"] = {
             number.parameter.name: {
                 "prior_deviation": number.parameter.deviation,
-                "value": number.value * number.parameter.deviation,
+                "value": number.parameter.shift,
                 "deviation": number.deviation * number.parameter.deviation,
                 **number.number,
             }
@@ -96,8 +97,8 @@ def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Physic
 def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[FittedParameter, ...]:
     """T, each with its posterior."""
     spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.parameters])
-    every = zip(fit.problem.measurement.parameters, uncertainty.parameters, spread, strict=True)
-    return tuple(FittedParameter(parameter, float(value), float(after)) for parameter, value, after in every)
+    fitted = set_values(fit.problem.measurement.parameters, uncertainty.parameters)
+    return tuple(FittedParameter(parameter, float(after)) for parameter, after in zip(fitted, spread, strict=True))
 
 
 def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:

@@ -288,7 +288,7 @@ def for_model(measurement: Measurement, setup: FitSetup) -> Measurement:
     Raises ConfigError where there are none, or for a loss that they don't go with.
     """
     if not setup.model.has_laws:
-        return replace(measurement, laws=NO_LAWS) if measurement.laws else measurement
+        return measurement if measurement.laws is NO_LAWS else replace(measurement, laws=NO_LAWS)
     if not measurement.laws:
         raise ConfigError(
             f"model={setup.model.kind} must have machine.laws (what is known of bearings and oil, and guesses of the "

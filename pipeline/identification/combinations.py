@@ -76,11 +76,7 @@ def combine(measurement: Measurement, setup: FitSetup) -> Combinations | None:
     if not setup.constant:
         return None
     start = prepare_output_error(measurement, setup)
-    return combine_at(start.problem, start.weights[:1])
-
-
-def combine_at(problem: OutputError, weights: torch.Tensor) -> Combinations:
-    """The combinations of constant coefficients at the ``weights`` (1, 1, Z) of any fit."""
+    problem, weights = start.problem, start.weights[:1]
     information, relative = problem.normal(weights)[1][0, 0], _share(problem, weights)
     covariance, measurement = invert(information), problem.measurement
     spread, directions = _directions(relative, covariance)

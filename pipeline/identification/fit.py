@@ -108,10 +108,10 @@ class ResidualLoss:
         """
         if not setup.constant:
             return diagnosis.deviations
+        each = diagnosis.deviations.values
         with np.errstate(divide="ignore"):
-            pooled = 1 / np.sqrt((diagnosis.deviation**-2.0).sum(axis=1, keepdims=True))
-        every = np.broadcast_to(pooled, diagnosis.deviation.shape)
-        return Deviations(diagnosis.answer, every, "constants over all speeds")
+            pooled = 1 / np.sqrt((each**-2.0).sum(axis=1, keepdims=True))
+        return Deviations(diagnosis.deviations.table, np.broadcast_to(pooled, each.shape), "constants over all speeds")
 
     def fit(
         self,

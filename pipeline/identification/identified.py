@@ -96,8 +96,7 @@ class PhysicalNumber:
 class FittedParameter:
     """An uncertain number of the model after the fit, in prior standard deviations."""
 
-    parameter: ModelParameter
-    value: float  # 0 is what was stated
+    parameter: ModelParameter  # at its fitted value; 0 is what was stated
     deviation: float  # posterior; 1 where the data tell nothing of it
 
     @property
@@ -105,9 +104,8 @@ class FittedParameter:
         """A support's own number and its deviation, SI; empty for what is a change of something stated."""
         if not self.parameter.stated:
             return {}
-        at = replace(self.parameter, value=self.value)
-        number = at.stated * at.slope
-        return {"number": number, "number_deviation": number * at.deviation * self.deviation}
+        number = self.parameter.stated * self.parameter.slope
+        return {"number": number, "number_deviation": number * self.parameter.deviation * self.deviation}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

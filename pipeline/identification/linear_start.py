@@ -18,7 +18,9 @@ from pipeline.impedance import list_places, to_coordinates
 from pipeline.parameters.weights import size_excitations
 from pipeline.problem.expansion import expand
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.noise import whiten
+from pipeline.problem.ranking import find_distinct
 from pipeline.problem.residual import LinearResidual, linear_residual
 
 if TYPE_CHECKING:
@@ -141,15 +143,9 @@ def read_modes(problem: OutputError, tries: int = 4, first_softening: float = 1.
         drawn = generator.standard_normal(first.shape) * np.array([[0.5], [0.5], [0.0]])
         start = (first + (drawn if i else 0.0))[: len(fitted.kinds)]
         ends.append(least_squares(lambda at: fitted.solve(at)[0], start.ravel(), max_nfev=40))
-    order = _distinct_costs([float(end.cost) for end in ends])
+    order = find_distinct([float(end.cost) for end in ends], most=tries)
     made = [fitted.weigh(problem, ends[i].x) for i in order]
     return torch.cat(made)
-
-
-def _distinct_costs(costs: list[float], same: float = 1e-2) -> list[int]:
-    """Which are in valleys of their own, the lowest first."""
-    order = sorted(range(len(costs)), key=lambda i: costs[i])
-    return [i for n, i in enumerate(order) if not n or costs[i] > (1 + same) * costs[order[n - 1]]]
 
 
 class _PeakFit:
@@ -162,7 +158,7 @@ class _PeakFit:
         every = {name: [(t, p) for t, p in enumerate(measurement.parameters) if p.kind == name] for name in names}
         self.kinds = [every[name] for name in names if every[name]]
         self.count = len(self.kinds[0])
-        self.at_speed, self.at_run = np.nonzero(data.present & measurement.synchronous())
+        self.at_speed, self.at_run = np.nonzero(data.present & turns_with_rotor(data))
         self.w = data.frequencies[self.at_speed, self.at_run][:, None]
         self.size = size_excitations(data)[self.at_speed, self.at_run][:, None]
         self.read = data.displacement[self.at_speed, :, self.at_run]

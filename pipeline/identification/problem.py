@@ -25,9 +25,9 @@ planes, T model parameters, Z = A K + Th + 2 N + T weights.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -51,8 +51,6 @@ from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
     import torch
-
-Kind = TypeVar("Kind", bound="OutputError")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -398,10 +396,6 @@ class OutputError(LeastSquares):
         measurement, values = self.measurement, self.model_parameters(weights)[0].numpy()
         found = find_baseline(measurement.update(values), measurement.table(made[0].numpy()))
         return replace(self, sensors=sensor_model(replace(measurement, as_found=found))) if found else self
-
-    def of_kind(self, kind: type[Kind], **changes: Any) -> Kind:
-        """The problem as one of another ``kind``, with these ``changes``."""
-        return kind(**{entry.name: getattr(self, entry.name) for entry in fields(OutputError)} | changes)
 
     def update(self, weights: torch.Tensor) -> OutputError:
         """The same with the rotor solved anew at the model parameters of the weights (1, 1, Z), to first order until

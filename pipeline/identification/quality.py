@@ -8,7 +8,7 @@ Legend: S speeds, P channels, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -83,7 +83,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     """Chi-square, whiteness, held-out speeds and runs, and the readings far off."""
     plain, drift = _plain_deviations(fit), fit.problem.measurement.drift
     # What was not measured has a precision of zero.
-    value, readings = chi_square(plain), sum(int((block != 0).sum()) for block in plain)
+    value, readings = (
+        sum(float((np.abs(block) ** 2).sum()) for block in plain),
+        sum(int((block != 0).sum()) for block in plain),
+    )
     parameters = fit.problem.model_parameters(fit.weights)[0]
     # What the data do not tell of a weight its prior does: it takes no reading away.
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
@@ -242,8 +245,3 @@ def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray], beyond: float = 4.
             beside = {name: float(values[s]) for name, values in dataset.operating.items()}
             points.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
     return tuple(points)
-
-
-def chi_square(deviations: Sequence[np.ndarray]) -> float:
-    """Sum of the squared deviations over their root mean square, complex."""
-    return float(sum((np.abs(d) ** 2).sum() for d in deviations))

@@ -261,7 +261,7 @@ class SensorModel:
         return torch.tensor([p.growth for p in self.measurement.parameters], dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
-        """As :attr:`pipeline.parameters.model.ModelParameter.step`, (G, T)."""
+        """(G, T) by how many deviations each number is off: supports grow with the exponential of their parameter."""
         import torch
 
         growth = self._growth.clamp(min=1e-300)

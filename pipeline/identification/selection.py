@@ -28,6 +28,7 @@ from pipeline.identification.blocks import Basis
 from pipeline.identification.linear_start import robust_start
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError
+from pipeline.problem.ranking import find_distinct
 from pipeline.problem.slopes import invert_root
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def add_features(
             tried = torch.cat([robust_start(limited, start.filtered), tried])
         tried = levenberg_marquardt(limited, tried, config, until_still(nearly), by_diagonal=True)
         losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
-        weights, before = tried[_distinct(losses.tolist())], order
+        weights, before = tried[find_distinct(losses.tolist())], order
         criterion = float(losses.min()) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
         if criterion < best[0] - TIE:  # a tie stays with fewer
             best = (criterion, order, limited.with_features(weights[:1], count))
@@ -119,17 +120,6 @@ def revive(problem: OutputError, weights: torch.Tensor, collapsed: float = 0.02)
     revived, outer = weights.clone(), problem.places.coefficients
     revived[..., outer] = (weights[0, 0, outer].unflatten(-1, (len(active), -1)) * ~gone[:, None]).flatten()
     return revived
-
-
-def _distinct(losses: list[float], most: int = 3, same_valley: float = 1e-2, equal: float = 1e-6) -> list[int]:
-    """The best few that lie in valleys of their own, the best first; of equals the one that was given first."""
-    kept: list[int] = []
-    rest = sorted(range(len(losses)), key=lambda i: losses[i])
-    while rest and len(kept) < most:
-        lowest = losses[rest[0]]
-        kept.append(min(i for i in rest if losses[i] <= lowest * (1 + equal)))
-        rest = [i for i in rest if losses[i] > lowest * (1 + same_valley)]
-    return kept
 
 
 # --- how large corrections are ---------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from pipeline.identification.model_error import MeanSquareError, noise_alone
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
-from pipeline.identification.trained_network import TrainedNetworks, keep_all, start_networks
+from pipeline.identification.trained_network import TrainedNetworks, pose_networks, start_networks
 from pipeline.identification.training import FitSetup, Minimum, Outcome, Progress, initial_guess, minimise
 from pipeline.problem.noise_levels import student_factor
 
@@ -96,8 +96,7 @@ def train_hidden(
     values, _ = model.physical(problem.outputs(linear), problem.scale)
     start = start_networks(model, guess, generator, inputs, values, rest)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
-    numbers = {"inputs": inputs, "known": known, "nodes": inputs[:0], "kept": keep_all(model)}
-    training, judging = (weighed.of_kind(TrainedNetworks, **numbers) for weighed in (half, other))
+    training, judging = (pose_networks(weighed, model, known, inputs, inputs[:0]) for weighed in (half, other))
     ending = setup.ending(patience, still)
     return _mean(fit, training, minimise(training, start, ending, held_out=judging, progress=progress, together=True))
 

@@ -14,7 +14,7 @@ A unknowns that members have, K nodes, F features, N balance planes, T model par
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -52,13 +52,6 @@ def start_networks(
         for value in values
     ]
     return torch.cat([torch.stack(networks)[:, None], rest], dim=-1)
-
-
-def keep_all(model: CoefficientModel) -> torch.Tensor:
-    """(M, Q) bool: every parameter of the networks is fitted."""
-    import torch
-
-    return torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,6 +129,19 @@ class TrainedNetworks(OutputError):
         return self.basis.model.raw(self.networks(weights), self.inputs)
 
 
+def pose_networks(
+    problem: OutputError, model: CoefficientModel, known: Prior, inputs: torch.Tensor, nodes: torch.Tensor
+) -> TrainedNetworks:
+    """The ``problem`` with networks in place of functions, whose parameters are all fitted; what is given besides is as
+    in :class:`TrainedNetworks`."""
+    import torch
+
+    same = {entry.name: getattr(problem, entry.name) for entry in fields(OutputError)}
+    same["basis"] = replace(problem.basis, model=model)
+    same["kept"] = torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
+    return TrainedNetworks(**same, known=known, inputs=inputs, nodes=nodes)
+
+
 # --- from an answer at nodes -----------------------------------------------------------------------------
 
 
@@ -171,14 +177,8 @@ def train_from_nodes(
         model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest, steep
     )
     n_of_networks = start.shape[-1] - rest.shape[-1]
-    training = problem.of_kind(
-        TrainedNetworks,
-        basis=replace(problem.basis, model=model),
-        kept=keep_all(model),
-        inputs=model.scaled_inputs(problem.measurement.dataset.points),
-        known=_hold(start[0, 0], n_of_networks, hold),
-        nodes=_spread(spline.n_functions),
-    )
+    inputs, known = model.scaled_inputs(problem.measurement.dataset.points), _hold(start[0, 0], n_of_networks, hold)
+    training = pose_networks(problem, model, known, inputs, _spread(spline.n_functions))
     minimum = minimise(training, start, setup.ending(patience, still), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
     weights = fit.weights.clone()

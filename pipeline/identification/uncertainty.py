@@ -46,7 +46,6 @@ class Uncertainty:
     """What is needed for a deviation at any speed, beside the identified model."""
 
     weights: np.ndarray  # (M, F, K) output weights of an orthonormal basis
-    active: np.ndarray  # (A, 2) of (member, unknown)
     covariance: np.ndarray  # (Z, Z)
     precision: np.ndarray  # (A, K) of the weights before the data
     functions: tuple[np.ndarray, np.ndarray]  # rows (N, A K) and aims (N,) of a prior of functions; N = 0 for none
@@ -121,9 +120,10 @@ class Uncertainty:
         model, inputs = identified.model, identified.model.scaled_inputs(points)
         basis = (model.features(identified.parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
         n_functions, raw = basis.shape[-1], model.raw(identified.parameters, inputs)
+        active = np.array(identified.unknowns.active)  # (A, 2) of (member, unknown)
         term, deviations = law_term(identified.laws, identified.unknowns, points), np.zeros(raw.shape)
         for m in range(len(basis)):
-            mine = np.flatnonzero(self.active[:, 0] == m)
+            mine = np.flatnonzero(active[:, 0] == m)
             places = (mine[:, None] * n_functions + np.arange(n_functions)).ravel()
             block = covariance[np.ix_(places, places)].reshape(len(mine), n_functions, len(mine), n_functions)
             spread = np.einsum("sk,ukvl,sl->suv", basis[m], block, basis[m], optimize=True)
@@ -131,7 +131,7 @@ class Uncertainty:
             root = np.linalg.cholesky(spread + jitter * np.eye(len(mine)))  # (S, n, n)
             normal = norm.ppf(qmc.Sobol(len(mine), scramble=False).random(2 * count)[1:])
             drawn = raw[m].repeat(2 * count, 1, 1)  # the answer itself is the first
-            drawn[1:, :, self.active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
+            drawn[1:, :, active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
             scale, drawn = model.scale_tensor(), drawn[:, None]
             every = term.correct(model, identified.theta[None], drawn, scale, slopes=False)[0][:, 0].numpy()
             low, high = np.quantile(every, [0.025, 0.975], axis=0)
@@ -146,7 +146,7 @@ class Uncertainty:
     @property
     def places(self) -> Places:
         """Where the blocks lie among the weights, local functions among those of the coefficients."""
-        coefficients = len(self.active) * (self.weights.shape[-1] + self.n_local)
+        coefficients = len(self.precision) * (self.weights.shape[-1] + self.n_local)
         n_planes, n_parameters = len(self.planes), len(self.parameters)
         numbers = len(self.covariance) - coefficients - 2 * n_planes - n_parameters
         return Places(coefficients, numbers, n_planes, n_parameters)
@@ -187,7 +187,6 @@ def _state(
 ) -> Uncertainty:
     return Uncertainty(
         problem.basis.weights.numpy(),
-        np.array(problem.active, dtype=np.int64).reshape(-1, 2),
         covariance,
         np.asarray((problem.precision * problem.kept).numpy()),
         (problem.functions.rows.numpy(), problem.functions.aims.numpy()),
@@ -211,7 +210,6 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty | None) -> Path:
         if uncertainty is None
         else {
             "weights": uncertainty.weights,
-            "active": uncertainty.active,
             "covariance": uncertainty.covariance,
             "precision": uncertainty.precision,
             "prior_rows": uncertainty.functions[0],
@@ -245,7 +243,6 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
         unbalance = parts["residual_unbalance"][0] + 1j * parts["residual_unbalance"][1]
         uncertainty = Uncertainty(
             parts["weights"],
-            parts["active"],
             parts["covariance"],
             parts["precision"],
             (parts["prior_rows"], parts["prior_aims"]),

@@ -24,6 +24,7 @@ from pipeline.config.comparison import PriorConfig
 from pipeline.data.dataset import DIRECTIONS, assemble_forces
 from pipeline.methods.method import Estimate, MethodOptions, Refusal, make_estimate
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
 
@@ -63,7 +64,7 @@ def identify_by_critical_speeds(
 def _choose_place(data: Measurement, name: str) -> tuple[int, int, np.ndarray]:
     """Channel and run that show the resonance of an unknown best, and the force (S,) there: at an exciting node."""
     dataset, angle = data.dataset, list(DIRECTIONS.values())[column(name)]
-    run = int(np.flatnonzero(data.synchronous())[0]) if data.synchronous().any() else 0
+    run = int(turns_with_rotor(dataset).argmax())  # the first if none turns
     forces = assemble_forces(data.rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     excited = [excitation.node for excitation in dataset.excitations if excitation.run == dataset.runs[run]]
     channels = [p for p, channel in enumerate(dataset.channels) if channel[1] == angle]

@@ -19,6 +19,7 @@ from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.residual import BearingEquations, LinearResidual
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -194,7 +195,7 @@ def drop_unbalance(measurement: Measurement) -> Measurement:
     """
     if not measurement.unknowns.planes:
         return measurement
-    keep = np.flatnonzero(~measurement.synchronous())
+    keep = np.flatnonzero(~turns_with_rotor(measurement.dataset))
     if not len(keep):
         raise Refusal("residual_unbalance", "every run turns with the rotor")
     # The response is solved anew: that of the measurement has planes.

@@ -26,6 +26,7 @@ from pipeline.methods.method import (
     require_bearing_equations,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.noise import DEPENDENT, linear_deviation, residual_covariance
 from pipeline.problem.residual import BearingEquations, bearing_equations, linear_residual
 
@@ -68,7 +69,7 @@ def _join(data: Measurement, equations: BearingEquations) -> tuple[np.ndarray, n
     for m, u in data.unknowns.active:
         mine = 1.0 if data.unknowns.shared else (np.arange(n_bearings) == m)[:, None, None]
         columns.append((residual.matrix[..., u] * mine).swapaxes(0, 1).reshape(n_speeds, -1))
-    turning = [run for run, turns in zip(data.dataset.runs, data.synchronous(), strict=True) if turns]
+    turning = [run for run, turns in zip(data.dataset.runs, turns_with_rotor(data.dataset), strict=True) if turns]
     still = replace(data.dataset, displacement=np.zeros_like(data.dataset.displacement))
     for node in data.unknowns.planes:  # the derivative by an unbalance, kg m, which is zero in runs that do not turn
         unit = replace(still, excitations=tuple(Excitation(run, "unbalance", node, 1.0, 0.0) for run in turning))

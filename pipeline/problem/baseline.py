@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.parameters.bearings import BASELINE, drift_scales
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -34,7 +35,7 @@ def find_baseline(measurement: Measurement, bearings: BearingTable, least: float
     if not drift.any():
         return ()
     data, scale = measurement.dataset, (1 + drift @ measurement.parameter_values)[:, None, None]
-    turning = np.flatnonzero(measurement.synchronous())
+    turning = np.flatnonzero(turns_with_rotor(data))
     run = turning[data.present[:, turning].sum(axis=0).argmax()]
     nodes, count, seen = tuple(range(measurement.rotor.n_nodes)), len(data.channels), data.present[:, run]
     alone = replace(measurement, unknowns=replace(measurement.unknowns, planes=nodes), as_found=())
@@ -55,7 +56,7 @@ def add_baseline(measurement: Measurement) -> Measurement:
     data = measurement.dataset
     if not measurement.as_found or not _scale_bearings(measurement).any():
         return measurement
-    turning = zip(data.runs, measurement.synchronous(), strict=True)
+    turning = zip(data.runs, turns_with_rotor(data), strict=True)
     found = tuple(
         Excitation(run, "unbalance", node, abs(unbalance), float(np.angle(unbalance)))
         for run in (*(run for run, turns in turning if turns), BASELINE)

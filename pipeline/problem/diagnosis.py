@@ -33,6 +33,7 @@ from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
+BY_ITSELF = "each speed by itself"
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy over the guess, of the bearing that few sensors are judged by: one that is the same in all directions
 would show circular orbits, from which less follows than from those of real bearings."""
@@ -43,24 +44,17 @@ class Diagnosis:
     """Everything that is known of a fit before it is done."""
 
     reports: tuple[Identifiability, ...]
-    answer: BearingTable  # least squares of each speed by itself, or a guess: sizes to compare the deviations with
-    deviation: np.ndarray  # (B, S, 8) standard deviation of it, N/m and N s/m; NaN where nothing is identified
-    by_least_squares: bool = True  # whose deviation it is; else that of the fit of smooth functions
-
-    @property
-    def deviations(self) -> Deviations:
-        """The same, to be judged."""
-        origin = "each speed by itself" if self.by_least_squares else "smooth functions over all speeds"
-        return Deviations(self.answer, self.deviation, origin)
+    deviations: Deviations  # of least squares of each speed by itself, or of a guess by smooth functions
+    by_least_squares: bool = True  # which of the two
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
-        b = self.answer.nodes.index(node)
-        size = np.abs(self.answer.values[b])
+        b = self.deviations.table.nodes.index(node)
+        size, deviation = np.abs(self.deviations.table.values[b]), self.deviations.values[b]
         return {
-            name: np.divide(self.deviation[b, :, c], size[:, c], out=np.full(len(size), np.inf), where=size[:, c] > 0)
+            name: np.divide(deviation[:, c], size[:, c], out=np.full(len(size), np.inf), where=size[:, c] > 0)
             for c, name in enumerate(COEFFICIENTS)
-            if not np.isnan(self.deviation[b, :, c]).all()
+            if not np.isnan(deviation[:, c]).all()
         }
 
 
@@ -70,7 +64,7 @@ def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     answer = measurement.table(per_speed_least_squares(measurement.residual)[0])
     covariance = residual_covariance(measurement.rotor, measurement.dataset, answer, measurement.deviation)
     spread = least_squares_deviation(whiten(measurement.residual, covariance))
-    return Diagnosis(reports, answer, measurement.unknowns.expand_deviation(spread))
+    return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
 
 
 def diagnose_response(
@@ -88,7 +82,7 @@ def diagnose_response(
     reports = judge_identifiability(expansion.equations, residual, constant)
     answer = whole.table(per_speed_least_squares(residual)[0])
     spread = least_squares_deviation(whiten(residual, expansion.residual_covariance(whole.response, answer)))
-    return Diagnosis(reports, answer, whole.unknowns.expand_deviation(spread))
+    return Diagnosis(reports, Deviations(answer, whole.unknowns.expand_deviation(spread), BY_ITSELF))
 
 
 # --- sensors too few for the forces at the bearings ---------------------------------------------------
@@ -143,7 +137,9 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
         orbit_condition=np.full(len(rank), np.nan),
         together="which share their coefficients" if unknowns.shared else "seen by the same sensors",
     )
-    return Diagnosis((report,), measurement.table(values), unknowns.expand_deviation(spread), by_least_squares=False)
+    expected = unknowns.expand_deviation(spread)
+    origin = "smooth functions over all speeds"
+    return Diagnosis((report,), Deviations(measurement.table(values), expected, origin), by_least_squares=False)
 
 
 def _smooth_deviation(rows: np.ndarray, features: np.ndarray, prior_deviation: float = 1e3) -> np.ndarray:

@@ -171,7 +171,7 @@ class Measurement:
         sensors, bow = sensor_matrix(data, rotor, parameters), bow_force(parameters, self.rotor)
         solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
         shown = runout(parameters, len(data.channels))
-        return solved.shifted(shown[:, None] * self.synchronous())
+        return solved.shifted(shown[:, None] * turns_with_rotor(data))
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
@@ -228,10 +228,6 @@ class Measurement:
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
         return self.known.with_unknowns(self.unknowns, values)
-
-    def synchronous(self) -> np.ndarray:
-        """(R,) mask of the runs that turn with the rotor."""
-        return turns_with_rotor(self.dataset)
 
     def subtract_unbalance(self) -> Measurement:
         """The synchronous runs less the first of them: a residual unbalance, the same in all, cancels exactly.

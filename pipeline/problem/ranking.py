@@ -33,3 +33,14 @@ def rank_indices(sizes: Iterable[float]) -> list[int]:
 def find_least(sizes: Mapping[Name, float]) -> Name:
     """The name of the smallest size; of those that tie the first by name."""
     return rank({name: -size for name, size in sizes.items()})[0]
+
+
+def find_distinct(losses: list[float], most: int = 3, same_valley: float = 1e-2, equal: float = 1e-6) -> list[int]:
+    """The best few that lie in valleys of their own, the best first; of equals the one that was given first."""
+    kept: list[int] = []
+    rest = sorted(range(len(losses)), key=lambda i: losses[i])
+    while rest and len(kept) < most:
+        lowest = losses[rest[0]]
+        kept.append(min(i for i in rest if losses[i] <= lowest * (1 + equal)))
+        rest = [i for i in rest if losses[i] > lowest * (1 + same_valley)]
+    return kept

@@ -76,7 +76,7 @@ def tabulate_diagnosis(
     rows: list[dict[Hashable, Any]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
-            names, std = diagnosis.relative(node), diagnosis.deviation[diagnosis.answer.nodes.index(node)]
+            names, b = diagnosis.relative(node), diagnosis.deviations.table.nodes.index(node)
             columns = {
                 "bearing_node": node,
                 "speed_rpm": to_rpm(report.speeds),
@@ -87,7 +87,7 @@ def tabulate_diagnosis(
                 "orbit_rank": report.orbit_rank,
                 "orbit_condition_number": report.orbit_condition,
                 **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
-                **{f"{name}_std": std[:, COEFFICIENTS.index(name)] for name in names},
+                **{f"{name}_std": diagnosis.deviations.values[b, :, COEFFICIENTS.index(name)] for name in names},
                 **{f"{each.name}_verdict": each.verdict.value for each in judged if each.node == node},
             }
             rows += pd.DataFrame(columns).to_dict("records")

@@ -149,7 +149,7 @@ def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]
         "of": [number.parameter.label for number in every],
         "unit": [number.parameter.row.unit for number in every],
         "prior_std": [number.parameter.deviation for number in every],
-        "value": [number.value * number.parameter.deviation for number in every],
+        "value": [number.parameter.shift for number in every],
         "std": [number.deviation * number.parameter.deviation for number in every],
     }
     return table | {key: [support.get(key, "") for support in numbers] for key in keys if any(numbers)}

@@ -76,7 +76,7 @@ def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
     stated = config.identify.model_parameters.deviations
-    every = budget_percent(measurement, diagnose(analysis).answer) if stated else None
+    every = budget_percent(measurement, diagnose(analysis).deviations.table) if stated else None
     if every is None:
         return []
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes

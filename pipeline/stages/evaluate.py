@@ -43,7 +43,7 @@ def run(analysis: Analysis) -> StageRecord:
     table, names, deviation = answer.table, answer.names, answer.deviation
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
-    conventional = diagnosis.answer if diagnosis.by_least_squares else None
+    conventional = diagnosis.deviations.table if diagnosis.by_least_squares else None
     metrics: dict[str, object] = {"coefficients": {}, **quality}
     summary: dict[str, object] = {}
     written: list[Path] = []

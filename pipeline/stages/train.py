@@ -106,7 +106,7 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     told = {
         number.parameter.name: summary["model_parameters"][number.parameter.name]
         for number in fitted.parameters
-        if number.parameter.kind in stated or abs(number.value) > 1
+        if number.parameter.kind in stated or abs(number.parameter.value) > 1
     }
     table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):

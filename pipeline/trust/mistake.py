@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.data.dataset import Excitation
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.response import ResponseEquations
 
 
@@ -311,7 +312,7 @@ def of_rest(measurement: Measurement, small: float = 0.15) -> Iterator[Mistake]:
                 replace(measurement, rotor=rotor, weighed=measurement.deviation),
                 gross=abs(share) > small,
             )
-    turning, planes = measurement.synchronous(), tuple(dict.fromkeys(measurement.rotor.disc_nodes))
+    turning, planes = turns_with_rotor(data), tuple(dict.fromkeys(measurement.rotor.disc_nodes))
     if turning.sum() > 2 and planes:  # at its discs the machine's own unbalance may be thought of
         unknowns = replace(measurement.unknowns, planes=planes)
         yield Mistake(

@@ -144,8 +144,9 @@ def quick_fit(
     place, guess = np.log(measurement.dataset.speeds), measurement.guess.sizes(measurement.unknowns)
     span = place[-1] - place[0]
     scaled = 2 * (place - place[0]) / span - 1 if span > 0 else np.zeros(len(place))
-    series = evaluate_functions("chebyshev", min(terms, len(place)) - 1, scaled)
-    functions = np.column_stack([np.ones(len(place)), series])  # (S, K)
+    functions = np.column_stack(  # (S, K)
+        [np.ones(len(place)), evaluate_functions("chebyshev", min(terms, len(place)) - 1, scaled)]
+    )
     begins, sizes = [], []
     for start in starts:
         size = np.median(np.abs(start), axis=1)

@@ -198,12 +198,12 @@ def test_a_tie_goes_to_fewer_features(last: float, kept: int) -> None:
 
 def test_of_equal_minima_the_first_goes_on() -> None:
     """Starts that ended in one valley differ by rounding; those of other valleys follow, the best first."""
-    from pipeline.identification.selection import _distinct
+    from pipeline.problem.ranking import find_distinct
 
     for tie in (1e-9, -1e-9):
-        assert _distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
-    assert _distinct([1.00001, 1.0]) == [1], "the better of two that differ"
-    assert _distinct([float("inf"), 1.0]) == [1, 0]
+        assert find_distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
+    assert find_distinct([1.00001, 1.0]) == [1], "the better of two that differ"
+    assert find_distinct([float("inf"), 1.0]) == [1, 0]
 
 
 def test_of_equal_finalists_the_better_trial_is_promoted() -> None:

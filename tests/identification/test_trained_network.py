@@ -21,7 +21,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_from
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import TrainedNetworks, keep_all, start_networks
+from pipeline.identification.trained_network import pose_networks, start_networks
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.impedance import PLACES
 from pipeline.laws.population import make_priors
@@ -65,14 +65,12 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     generator = torch.Generator().manual_seed(0)
     share = torch.rand(2, len(drawn.problem.measurement.dataset.speeds), 1, 1, generator=generator)
     inputs = model.scaled_inputs(fitted.measurement.dataset.points)
-    weighed = replace(fitted, readings=fitted.readings.scaled(share), basis=replace(fitted.basis, model=model))
+    weighed = replace(fitted, readings=fitted.readings.scaled(share))
     size = 2 * model.n_parameters + 2 * fitted.places.n_planes + 1
     known = Prior(torch.eye(size, dtype=torch.float64)[-1:], torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
     rows = torch.randn(5, 3 * len(fitted.active), generator=generator, dtype=torch.float64)
     functions, nodes = Prior(rows, rows[:, 0]), torch.linspace(-1, 1, 3, dtype=torch.float64)[:, None]
-    problem = weighed.of_kind(
-        TrainedNetworks, inputs=inputs, known=known, nodes=nodes, functions=functions, kept=keep_all(model)
-    )
+    problem = pose_networks(replace(weighed, functions=functions), model, known, inputs, nodes)
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
     whole = torch.autograd.functional.jacobian(problem.rows, numbers, vectorize=True)

@@ -132,7 +132,7 @@ def test_a_fit_of_exact_readings_gives_base_and_bearings_back(planes: tuple[int,
     """
     measurement, truth = measured(planes), load_rotor(config())
     found = fit(measurement, default_setup(Guess(1e7, 1e4), constant=True))
-    updated = measurement.update(np.array([p.value for p in found.parameters])).updated_rotor
+    updated = measurement.update(np.array([p.parameter.value for p in found.parameters])).updated_rotor
     for name in ("stiffness", "damping"):
         numbers, true = (np.diagonal(getattr(r, name))[[36, 37, 40]] for r in (updated, truth))
         assert numbers == pytest.approx(true, rel=1e-8)

@@ -16,7 +16,7 @@ from pipeline.data.sensors import NoiseModel
 from pipeline.errors import ConfigError
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters import ground
-from pipeline.parameters.model import KINDS, ModelParameter, model_parameters, set_values, update_rotor
+from pipeline.parameters.model import KINDS, ModelParameter, model_parameters, update_rotor
 from pipeline.problem.baseline import find_baseline
 from pipeline.problem.diagnosis import systematic_shifts
 from pipeline.problem.measurement import Guess, Measurement
@@ -75,7 +75,7 @@ def measurement() -> Measurement:
     unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, BearingUnknowns(("kxx", "kyy"))), planes=(3,))
     made = Measurement(model, data, known, NoiseModel(1e-7, 0.0), unknowns, Guess(1e7, 1e4))
     parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0)
-    return replace(made, parameters=set_values(parameters, 0.3 * np.cos(np.arange(len(parameters)))))
+    return replace(made, parameters=parameters).update(0.3 * np.cos(np.arange(len(parameters))))
 
 
 _OF_GROUND = tuple(kind.name for kind in ground.KINDS)
