@@ -6,8 +6,7 @@ Legend: T parameters, P channels, n lateral DOF. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,20 +20,12 @@ if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ProbeKind(Kind):
-    """Which of a probe's numbers it shifts."""
-
-    shifts: Literal["gain", "angle", "position"]
-    scope: Literal["machine", "runs", "run"] = "run"
-
-
 def sensor_matrix(
     dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter], values: np.ndarray
 ) -> np.ndarray:
     """(P, n) what each channel shows of the rotor's lateral DOF at parameters ``values`` (T,)."""
     matrix = dataset.sensor_matrix(rotor)
-    for p in {parameter.place for parameter in parameters if isinstance(parameter.row, _ProbeKind)}:
+    for p in {parameter.place for parameter in parameters if parameter.row.probe}:
         matrix[p] = _channel(dataset, p, rotor, _probe(parameters, values, p))
     return matrix
 
@@ -52,12 +43,12 @@ def sensor_change(
         shifted = kind.move(rotor, place, parameter.deviation)
         matrices = [sensor_matrix(dataset, moved, parameters, values) for moved in (shifted, rotor)]
         return np.asarray(matrices[0] - matrices[1])
-    if not isinstance(kind, _ProbeKind):
+    if not kind.probe:
         return None
     probe = _probe(parameters, values, place)
-    if kind.shifts == "gain":
+    if kind.probe == "gain":
         row = _channel(dataset, place, rotor, probe) / (1 + probe["gain"])
-    elif kind.shifts == "angle":  # the derivative of a direction is the direction a quarter turn on
+    elif kind.probe == "angle":  # the derivative of a direction is the direction a quarter turn on
         row = _channel(dataset, place, rotor, {**probe, "angle": probe["angle"] + np.pi / 2})
     else:
         row = _channel(dataset, place, rotor, probe, slope=True)
@@ -79,8 +70,8 @@ def _probe(parameters: Sequence[ModelParameter], values: np.ndarray, channel: in
     """Shifts of a channel's gain, angle and position along the shaft."""
     shifts = {"gain": 0.0, "angle": 0.0, "position": 0.0}
     for parameter, value in zip(parameters, values, strict=True):
-        if isinstance(parameter.row, _ProbeKind) and parameter.place == channel:
-            shifts[parameter.row.shifts] = parameter.deviation * float(value)
+        if parameter.row.probe and parameter.place == channel:
+            shifts[parameter.row.probe] = parameter.deviation * float(value)
     return shifts
 
 
@@ -101,15 +92,16 @@ def _find_runouts(machine: Machine) -> list[Place]:
 
 
 KINDS = (
-    _ProbeKind(
+    Kind(
         name="probe_gain",
         prior=PositiveShare,
         meaning="of the scale of each probe, as a share",
         places=lambda machine: machine.probes,
         usual=0.02,
-        shifts="gain",
+        scope="run",
+        probe="gain",
     ),
-    _ProbeKind(
+    Kind(
         name="probe_angle",
         prior=PositiveAngle,
         meaning="of the angle of each probe",
@@ -117,9 +109,10 @@ KINDS = (
         unit="rad",
         usual=np.pi / 180,
         mirrored=True,
-        shifts="angle",
+        scope="run",
+        probe="angle",
     ),
-    _ProbeKind(
+    Kind(
         name="probe_position",
         prior=Length,
         meaning="of the place of each probe along the shaft",
@@ -129,7 +122,8 @@ KINDS = (
             parameter, machine, machine.dataset.channels[parameter.place][0], max
         ),
         unit="m",
-        shifts="position",
+        scope="run",
+        probe="position",
     ),
     Kind(
         name="runout",

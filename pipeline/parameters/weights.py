@@ -7,9 +7,9 @@ Legend: T parameters, S speeds, R runs, n lateral DOF. SI units and radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import PositiveFloat
@@ -38,21 +38,11 @@ def size_excitations(dataset: VibrationDataset) -> np.ndarray:
     return np.sqrt(forces)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _WeightKind(Kind):
-    """Which of a weight's numbers it shifts, and of which weights, by their positions in their runs."""
-
-    shifts: Literal["angle", "gain", "share", "law"]
-    belongs: Callable[[ModelParameter, int, Excitation], bool]
-    missing: str = "no run with an unbalance"
-    scope: Literal["machine", "runs", "run"] = "runs"
-
-
 def update_excitations(
     dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
 ) -> VibrationDataset:
     """The data set with the weights at parameters ``values`` (T,)."""
-    uncertain = [(p, v) for p, v in zip(parameters, values, strict=True) if isinstance(p.row, _WeightKind)]
+    uncertain = [(p, v) for p, v in zip(parameters, values, strict=True) if p.row.weight]
     weights = number_excitations(dataset.excitations)
     updated = [_vector(weight, _act(weight, i, uncertain)[0]) for i, weight in weights]
     return replace(dataset, excitations=tuple(updated)) if uncertain else dataset
@@ -79,8 +69,8 @@ def _list_shifts(weight: Excitation, i: int, every: _Values) -> Iterator[tuple[s
     """The numbers of a weight that parameters shift, and by how much one deviation of each does."""
     for parameter, _ in every:
         kind = parameter.row
-        if isinstance(kind, _WeightKind) and weight.kind == "unbalance" and kind.belongs(parameter, i, weight):
-            yield kind.shifts, parameter.deviation * (PARTS[parameter.detail] if kind.shifts == "law" else 1.0)
+        if kind.weight and weight.kind == "unbalance" and kind.belongs(parameter, i, weight):
+            yield kind.weight, parameter.deviation * (PARTS[parameter.detail] if kind.weight == "law" else 1.0)
 
 
 def _act(weight: Excitation, i: int, every: _Values) -> tuple[complex, dict[str, complex]]:
@@ -131,73 +121,82 @@ def _has_label(parameter: ModelParameter, _: int, weight: Excitation) -> bool:
 
 
 KINDS = (
-    _WeightKind(
+    Kind(
         name="unbalance_magnitude",
         prior=PositiveShare,
         meaning="of each weight, as a share",
         places=_find_each,
+        missing="no run with an unbalance",
         usual=0.02,
         scope="run",
-        shifts="share",
+        weight="share",
         belongs=_is_that,
     ),
-    _WeightKind(
+    Kind(
         name="unbalance_phase",
         prior=PositiveAngle,
         meaning="of the angle of each weight",
         places=_find_each,
+        missing="no run with an unbalance",
         unit="rad",
         usual=np.pi / 90,
         scope="run",
         mirrored=True,
-        shifts="angle",
+        weight="angle",
         belongs=_is_that,
     ),
-    _WeightKind(
+    Kind(
         name="weight_angle",
         prior=PositiveAngle,
         meaning="of the angle of all weights alike, as a keyphasor's unknown place",
         places=_find_all,
+        missing="no run with an unbalance",
         unit="rad",
         mirrored=True,
-        shifts="angle",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="angle",
     ),
-    _WeightKind(
+    Kind(
         name="weight_law",
         prior=WeightLaw,
         meaning="of the a in U (1 + a |U|), as all weights act; real and imaginary part",
         places=lambda machine: [Place(component, 0, component) for component in PARTS if machine.weights],
+        missing="no run with an unbalance",
         unit="1/(kg m)",
-        shifts="law",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="law",
     ),
-    _WeightKind(
+    Kind(
         name="weight_gain",
         prior=PositiveFloat,
         meaning="of the logarithm of a factor of all weights alike, as an unknown unit",
         places=_find_all,
+        missing="no run with an unbalance",
         unit="ln",
-        shifts="gain",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="gain",
     ),
-    _WeightKind(
+    Kind(
         name="label_gain",
         prior=PositiveFloat,
         meaning="of the logarithm of a factor of all weights of one stated size",
         places=_find_labels,
+        missing="no run with an unbalance",
         unit="ln",
-        shifts="gain",
+        scope="runs",
+        weight="gain",
         belongs=_has_label,
     ),
-    _WeightKind(
+    Kind(
         name="label_angle",
         prior=PositiveAngle,
         meaning="of the angle of all weights of one stated size",
         places=_find_labels,
+        missing="no run with an unbalance",
         unit="rad",
         mirrored=True,
-        shifts="angle",
+        scope="runs",
+        weight="angle",
         belongs=_has_label,
     ),
 )
