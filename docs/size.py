@@ -22,9 +22,9 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1670,
     "laws": 482,
-    "rotor": 733,
+    "rotor": 734,
     "data": 1051,
-    "parameters": 445,
+    "parameters": 428,
     "sweep": 246,
     "ingest": 1479,
     "problem": 1506,

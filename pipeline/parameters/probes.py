@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.config.quantities import Length, PositiveAngle
 from pipeline.data.dataset import VibrationDataset, project_direction
-from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Machine, Place, PositiveShare, require_on_shaft
+from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Place, PositiveShare, require_on_shaft
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel
 
@@ -41,7 +41,7 @@ def sensor_change(
     kind, place = parameter.row, parameter.place
     if rotor.casings and kind.move:  # a casing moves by what bearings feel of the DOF, linearly
         shifted = kind.move(rotor, place, parameter.deviation)
-        matrices = [sensor_matrix(dataset, moved, parameters, values) for moved in (shifted, rotor)]
+        matrices = [sensor_matrix(dataset, each, parameters, values) for each in (shifted, rotor)]
         return np.asarray(matrices[0] - matrices[1])
     if not kind.probe:
         return None
@@ -86,11 +86,6 @@ def _channel(
     return np.asarray((1 + probe["gain"]) * (turned.real * x + turned.imag * y))
 
 
-def _find_runouts(machine: Machine) -> list[Place]:
-    shown = machine.probes_on_shaft if machine.shows_bow else []
-    return [Place(f"{probe.label} {component}", probe.place, component) for probe in shown for component in PARTS]
-
-
 KINDS = (
     Kind(
         name="probe_gain",
@@ -129,7 +124,12 @@ KINDS = (
         name="runout",
         prior=Length,
         meaning="of what slow roll leaves, a vector that a probe shows at all speeds alike; real and imaginary part",
-        places=_find_runouts,
+        places=lambda machine: [
+            Place(f"{probe.label} {component}", probe.place, component)
+            for probe in machine.probes_on_shaft
+            for component in PARTS
+            if machine.shows_bow
+        ],
         missing=UNSHOWN,
         unit="m",
         shown=("um", 1e6),

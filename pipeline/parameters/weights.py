@@ -99,10 +99,6 @@ def bend_law(parameter: ModelParameter) -> complex:
     return parameter.deviation * PARTS[parameter.detail] if parameter.kind == "weight_law" else 0j
 
 
-def _find_all(machine: Machine) -> list[Place]:
-    return everywhere(machine) if machine.weights else []
-
-
 def _find_each(machine: Machine) -> list[Place]:
     return [Place(f"{weight.run} node {weight.node}", i, weight.run) for i, weight in machine.weights]
 
@@ -149,7 +145,7 @@ KINDS = (
         name="weight_angle",
         prior=PositiveAngle,
         meaning="of the angle of all weights alike, as a keyphasor's unknown place",
-        places=_find_all,
+        places=lambda machine: everywhere(machine) if machine.weights else [],
         missing="no run with an unbalance",
         unit="rad",
         mirrored=True,
@@ -170,7 +166,7 @@ KINDS = (
         name="weight_gain",
         prior=PositiveFloat,
         meaning="of the logarithm of a factor of all weights alike, as an unknown unit",
-        places=_find_all,
+        places=lambda machine: everywhere(machine) if machine.weights else [],
         missing="no run with an unbalance",
         unit="ln",
         scope="runs",
