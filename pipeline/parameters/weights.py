@@ -7,7 +7,7 @@ Legend: T parameters, S speeds, R runs, n lateral DOF. SI units and radians.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -42,43 +42,49 @@ def update_excitations(
     dataset: VibrationDataset, parameters: Sequence[ModelParameter], values: np.ndarray
 ) -> VibrationDataset:
     """The data set with the weights at parameters ``values`` (T,)."""
-    uncertain = [(p, v) for p, v in zip(parameters, values, strict=True) if p.row.weight]
-    weights = number_excitations(dataset.excitations)
-    updated = [_vector(weight, _act(weight, i, uncertain)[0]) for i, weight in weights]
+    uncertain = [(t, parameter) for t, parameter in enumerate(parameters) if parameter.row.weight]
+    updated = [
+        _vector(weight, _act(weight, _list_shifts(weight, i, uncertain), values)[0])
+        for i, weight in number_excitations(dataset.excitations)
+    ]
     return replace(dataset, excitations=tuple(updated)) if uncertain else dataset
 
 
-def force_change(
-    t: int, parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel, dataset: VibrationDataset
-) -> np.ndarray | None:
-    """(S, n, R) derivative of the forces by parameter t at ``values`` (T,), N; None where it moves none.
+def force_changes(
+    parameters: Sequence[ModelParameter], values: np.ndarray, rotor: RotorModel, dataset: VibrationDataset
+) -> list[np.ndarray | None]:
+    """(S, n, R) derivative of the forces by each parameter at ``values`` (T,), N; None where it moves none.
 
     ``dataset`` has the weights as they are stated.
     """
-    every, changes = list(zip(parameters, values, strict=True)), []
+    changes: list[list[Excitation]] = [[] for _ in parameters]
+    uncertain = [(t, parameter) for t, parameter in enumerate(parameters) if parameter.row.weight]
     for i, weight in number_excitations(dataset.excitations):
-        for number, shift in _list_shifts(weight, i, every[t : t + 1]):
-            changes.append(_vector(weight, shift * _act(weight, i, every)[1][number]))
-    return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
+        shifts = _list_shifts(weight, i, uncertain)
+        slopes = _act(weight, shifts, values)[1]
+        for t, number, shift in shifts:
+            changes[t].append(_vector(weight, shift * slopes[number]))
+    runs, frequencies = dataset.runs, dataset.frequencies
+    return [assemble_forces(rotor, tuple(change), runs, frequencies) if change else None for change in changes]
 
 
-_Values = Sequence[tuple["ModelParameter", float]]
+_Shifts = Sequence[tuple[int, str, complex]]
 
 
-def _list_shifts(weight: Excitation, i: int, every: _Values) -> Iterator[tuple[str, complex]]:
-    """The numbers of a weight that parameters shift, and by how much one deviation of each does."""
-    for parameter, _ in every:
-        kind = parameter.row
-        if kind.weight and weight.kind == "unbalance" and kind.belongs(parameter, i, weight):
-            yield kind.weight, parameter.deviation * (PARTS[parameter.detail] if kind.weight == "law" else 1.0)
+def _list_shifts(weight: Excitation, i: int, uncertain: Sequence[tuple[int, ModelParameter]]) -> _Shifts:
+    """Which of the parameters shift a number of a weight, that number, and by how much one deviation does."""
+    return [
+        (t, parameter.row.weight, bend_law(parameter) or parameter.deviation)
+        for t, parameter in uncertain
+        if weight.kind == "unbalance" and parameter.row.belongs(parameter, i, weight)
+    ]
 
 
-def _act(weight: Excitation, i: int, every: _Values) -> tuple[complex, dict[str, complex]]:
+def _act(weight: Excitation, shifts: _Shifts, values: np.ndarray) -> tuple[complex, dict[str, complex]]:
     """What a weight acts as, and the derivative of that by each of its numbers."""
     numbers: dict[str, complex] = {"angle": weight.phase, "gain": 0.0, "share": 1.0, "law": 0.0}
-    for pair in every:
-        for number, shift in _list_shifts(weight, i, [pair]):
-            numbers[number] += pair[1] * shift
+    for t, number, shift in shifts:
+        numbers[number] += float(values[t]) * shift
     share, law = numbers["share"].real, numbers["law"]
     size, turn = float(weight.magnitude * np.exp(numbers["gain"].real) * share), np.exp(1j * numbers["angle"].real)
     by_size = turn * (1 + 2 * law * size)
@@ -96,7 +102,7 @@ def _vector(excitation: Excitation, value: complex) -> Excitation:
 
 def bend_law(parameter: ModelParameter) -> complex:
     """What one deviation adds to a of the weights' law, 1/(kg m); zero for a parameter that is none of it."""
-    return parameter.deviation * PARTS[parameter.detail] if parameter.kind == "weight_law" else 0j
+    return parameter.deviation * PARTS[parameter.detail] if parameter.row.weight == "law" else 0j
 
 
 def _find_each(machine: Machine) -> list[Place]:
