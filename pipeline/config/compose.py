@@ -28,6 +28,7 @@ from pipeline.config.loader import (
 from pipeline.config.messages import explain_schema_errors, quote_override, quote_value, suggest
 from pipeline.config.own_machines import clean_name, make_absolute, store_machine
 from pipeline.config.promotion import apply_promoted, is_overridden, look_up
+from pipeline.config.quantities import is_number
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearings import CHANGING
 
@@ -284,10 +285,8 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
 
 def _is_noise(value: Any) -> bool:
     """Tell whether a number, or a text such as ``0.1 um``, is above zero."""
-    try:
-        return float(str(value).partition(" ")[0]) > 0
-    except ValueError:
-        return False
+    number = str(value).partition(" ")[0]
+    return is_number(number) and float(number) > 0
 
 
 def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -> str:

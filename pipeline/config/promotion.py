@@ -85,11 +85,8 @@ def get_value(config: Config, key: str) -> Any:
 
 def has_value(config: Config, key: str) -> bool:
     """Tell whether the configuration has the dotted key: a model of another kind has others."""
-    try:
-        get_value(config, key)
-    except ConfigError:
-        return False
-    return True
+    section, _, name = key.rpartition(".")
+    return hasattr(attrgetter(section)(config), name)
 
 
 def read_promoted(folder: Path) -> PromotedTrial | None:

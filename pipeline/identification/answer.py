@@ -14,8 +14,8 @@ from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
+from pipeline.parameters.model import set_values
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import set_values
 
 if TYPE_CHECKING:
     import torch

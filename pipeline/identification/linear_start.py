@@ -15,10 +15,10 @@ import numpy as np
 from pipeline.data.dataset import project_direction
 from pipeline.identification.problem import OutputError
 from pipeline.impedance import list_places, to_coordinates
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.parameters.weights import size_excitations
 from pipeline.problem.expansion import expand
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.noise import whiten
 from pipeline.problem.ranking import find_distinct
 from pipeline.problem.residual import LinearResidual, linear_residual

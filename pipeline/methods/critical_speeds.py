@@ -23,8 +23,8 @@ from pipeline.coefficients import column, is_direct, is_stiffness
 from pipeline.config.comparison import PriorConfig
 from pipeline.data.dataset import DIRECTIONS, assemble_forces
 from pipeline.methods.method import Estimate, MethodOptions, Refusal, make_estimate
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.rotor.model import translation_dof
 from pipeline.units import RAD_S_PER_RPM
 

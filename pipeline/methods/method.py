@@ -16,10 +16,10 @@ from pipeline.data.operating import group_rows, split_states
 from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.laws.law_set import NO_LAWS, LawSet
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.diagnosis import determines, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.residual import BearingEquations, LinearResidual
 from pipeline.rotor.bearing_table import BearingTable
 

@@ -25,8 +25,8 @@ from pipeline.methods.method import (
     make_estimate,
     require_bearing_equations,
 )
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.noise import DEPENDENT, linear_deviation, residual_covariance
 from pipeline.problem.residual import BearingEquations, bearing_equations, linear_residual
 

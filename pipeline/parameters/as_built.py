@@ -82,9 +82,12 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
             }
         )
     model = load_rotor(fine)
-    everywhere, discs, coupled = (0,), model.disc_nodes, (built.coupling_node * built.refinement,)
-    places = {"youngs_modulus": everywhere, "density": everywhere, "disc_mass": discs, "disc_inertia": discs}
-    places |= {"coupling_stiffness": coupled, "coupling_mass": coupled}
+    at = built.coupling_node * built.refinement
+    places = {
+        **dict.fromkeys(("youngs_modulus", "density"), (0,)),
+        **dict.fromkeys(("disc_mass", "disc_inertia"), model.disc_nodes),
+        **dict.fromkeys(("coupling_stiffness", "coupling_mass"), (at,)),
+    }
     changes = [
         ModelParameter(kind, getattr(built, kind) or 0.0, "", node, value=1.0)
         for kind, nodes in places.items()

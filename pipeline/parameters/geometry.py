@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
 
 
-def _find_positions(machine: Machine) -> list[Place]:
-    nodes = [] if machine.rotor.casings else machine.rotor.bearing_nodes
-    return [Place(f"node {node}", b) for b, node in enumerate(nodes)]
-
-
 def _find_bows(machine: Machine) -> list[Place]:
     rotor = machine.rotor
     if not machine.shows_bow or len(rotor.bearing_nodes) < 2:
@@ -75,7 +70,9 @@ KINDS = (
         name="bearing_position",
         prior=Length,
         meaning="of the place of each bearing along the shaft",
-        places=_find_positions,
+        places=lambda machine: [
+            Place(f"node {node}", b) for b, node in enumerate(machine.rotor.bearing_nodes) if not machine.rotor.casings
+        ],
         missing="bearings on soft ground",
         require=lambda parameter, machine: require_on_shaft(
             parameter, machine, machine.rotor.bearing_nodes[parameter.place], min

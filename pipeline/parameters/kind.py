@@ -80,8 +80,8 @@ class Machine:
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A kind of uncertain number, and its ports: what it changes of rotor and bearings' places; weights, supports and
-    probes change in the modules of their kinds.
+    """A kind of uncertain number, and its ports: what it changes of rotor, bearings' places, weights and probes; what
+    changes of supports, bearings and the vibration as it is shown, the modules of their kinds say.
     """
 
     name: str
@@ -104,6 +104,10 @@ class Kind:
     """The rotor with other places of what bearings feel of the DOF, by the parameter's place and its shift."""
     derive_places: Callable[[RotorModel, int], np.ndarray] | None = None
     """The derivative of these rows by the shift."""
+    weight: Literal["", "angle", "gain", "share", "law"] = ""  # which number of weights it shifts
+    belongs: Callable[[ModelParameter, int, Excitation], bool] = lambda _, __, ___: True
+    """Of which weights, by their positions in their runs."""
+    probe: Literal["", "gain", "angle", "position"] = ""  # which number of a probe it shifts
 
     @property
     def shown_unit(self) -> tuple[str, float]:

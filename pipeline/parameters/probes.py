@@ -6,14 +6,13 @@ Legend: T parameters, P channels, n lateral DOF. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.quantities import Length, PositiveAngle
 from pipeline.data.dataset import VibrationDataset, project_direction
-from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Machine, Place, PositiveShare, require_on_shaft
+from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Place, PositiveShare, require_on_shaft
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel
 
@@ -21,18 +20,10 @@ if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ProbeKind(Kind):
-    """Which of a probe's numbers it shifts."""
-
-    shifts: Literal["gain", "angle", "position"]
-    scope: Literal["machine", "runs", "run"] = "run"
-
-
 def sensor_matrix(dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]) -> np.ndarray:
     """(P, n) what each channel shows of the rotor's lateral DOF at the values of the parameters."""
     matrix = dataset.sensor_matrix(rotor)
-    for p in {parameter.place for parameter in parameters if isinstance(parameter.row, _ProbeKind)}:
+    for p in {parameter.place for parameter in parameters if parameter.row.probe}:
         matrix[p] = _channel(dataset, p, rotor, _probe(parameters, p))
     return matrix
 
@@ -44,14 +35,14 @@ def sensor_change(
     kind, place = parameter.row, parameter.place
     if rotor.casings and kind.move:  # a casing moves by what bearings feel of the DOF, linearly
         shifted = kind.move(rotor, place, parameter.deviation)
-        matrices = [sensor_matrix(dataset, moved, parameters) for moved in (shifted, rotor)]
+        matrices = [sensor_matrix(dataset, each, parameters) for each in (shifted, rotor)]
         return np.asarray(matrices[0] - matrices[1])
-    if not isinstance(kind, _ProbeKind):
+    if not kind.probe:
         return None
     probe = _probe(parameters, place)
-    if kind.shifts == "gain":
+    if kind.probe == "gain":
         row = _channel(dataset, place, rotor, probe) / (1 + probe["gain"])
-    elif kind.shifts == "angle":  # the derivative of a direction is the direction a quarter turn on
+    elif kind.probe == "angle":  # the derivative of a direction is the direction a quarter turn on
         row = _channel(dataset, place, rotor, {**probe, "angle": probe["angle"] + np.pi / 2})
     else:
         row = _channel(dataset, place, rotor, probe, slope=True)
@@ -73,8 +64,8 @@ def _probe(parameters: Sequence[ModelParameter], channel: int) -> dict[str, floa
     """Shifts of a channel's gain, angle and position along the shaft."""
     shifts = {"gain": 0.0, "angle": 0.0, "position": 0.0}
     for parameter in parameters:
-        if isinstance(parameter.row, _ProbeKind) and parameter.place == channel:
-            shifts[parameter.row.shifts] = parameter.shift
+        if parameter.row.probe and parameter.place == channel:
+            shifts[parameter.row.probe] = parameter.shift
     return shifts
 
 
@@ -89,21 +80,17 @@ def _channel(
     return np.asarray((1 + probe["gain"]) * (turned.real * x + turned.imag * y))
 
 
-def _find_runouts(machine: Machine) -> list[Place]:
-    shown = machine.probes_on_shaft if machine.shows_bow else []
-    return [Place(f"{probe.label} {component}", probe.place, component) for probe in shown for component in PARTS]
-
-
 KINDS = (
-    _ProbeKind(
+    Kind(
         name="probe_gain",
         prior=PositiveShare,
         meaning="of the scale of each probe, as a share",
         places=lambda machine: machine.probes,
         usual=0.02,
-        shifts="gain",
+        scope="run",
+        probe="gain",
     ),
-    _ProbeKind(
+    Kind(
         name="probe_angle",
         prior=PositiveAngle,
         meaning="of the angle of each probe",
@@ -111,9 +98,10 @@ KINDS = (
         unit="rad",
         usual=np.pi / 180,
         mirrored=True,
-        shifts="angle",
+        scope="run",
+        probe="angle",
     ),
-    _ProbeKind(
+    Kind(
         name="probe_position",
         prior=Length,
         meaning="of the place of each probe along the shaft",
@@ -123,13 +111,19 @@ KINDS = (
             parameter, machine, machine.dataset.channels[parameter.place][0], max
         ),
         unit="m",
-        shifts="position",
+        scope="run",
+        probe="position",
     ),
     Kind(
         name="runout",
         prior=Length,
         meaning="of what slow roll leaves, a vector that a probe shows at all speeds alike; real and imaginary part",
-        places=_find_runouts,
+        places=lambda machine: [
+            Place(f"{probe.label} {component}", probe.place, component)
+            for probe in machine.probes_on_shaft
+            for component in PARTS
+            if machine.shows_bow
+        ],
         missing=UNSHOWN,
         unit="m",
         shown=("um", 1e6),

@@ -24,11 +24,6 @@ def _change_modulus(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str
     return {"stiffness": parameter.deviation * rotor.stiffness * shaft}
 
 
-def _change_density(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
-    size = parameter.deviation
-    return {"mass": size * rotor.shaft_mass, "gyroscopic": size * rotor.shaft_gyroscopic}
-
-
 def _change_disc(parameter: ModelParameter, rotor: RotorModel, first: int, last: int) -> Mapping[str, np.ndarray]:
     """Of its node's DOF those from ``first`` on, up to ``last``."""
     start, kept = translation_dof(parameter.place, 0), np.zeros_like(rotor.mass)
@@ -76,7 +71,10 @@ KINDS = (
         meaning="of the shaft, as a share",
         places=everywhere,
         usual=0.005,
-        rotor=_change_density,
+        rotor=lambda parameter, rotor: {
+            "mass": parameter.deviation * rotor.shaft_mass,
+            "gyroscopic": parameter.deviation * rotor.shaft_gyroscopic,
+        },
     ),
     Kind(
         name="disc_mass",

@@ -7,9 +7,9 @@ Legend: T parameters, S speeds, R runs, n lateral DOF. SI units and radians.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import PositiveFloat
@@ -38,58 +38,52 @@ def size_excitations(dataset: VibrationDataset) -> np.ndarray:
     return np.sqrt(forces)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _WeightKind(Kind):
-    """Which of a weight's numbers it shifts, and of which weights, by their positions in their runs."""
-
-    shifts: Literal["angle", "gain", "share", "law"]
-    belongs: Callable[[ModelParameter, int, Excitation], bool]
-    missing: str = "no run with an unbalance"
-    scope: Literal["machine", "runs", "run"] = "runs"
-
-
 def update_excitations(dataset: VibrationDataset, parameters: Sequence[ModelParameter]) -> VibrationDataset:
     """The data set with the weights at the values of the parameters."""
-    uncertain = [p for p in parameters if isinstance(p.row, _WeightKind)]
+    if not any(parameter.row.weight for parameter in parameters):
+        return dataset
     weights = number_excitations(dataset.excitations)
-    updated = [_vector(weight, _act(weight, i, uncertain)[0]) for i, weight in weights]
-    return replace(dataset, excitations=tuple(updated)) if uncertain else dataset
+    updated = [_vector(weight, _act(weight, _list_acting(weight, i, parameters))[0]) for i, weight in weights]
+    return replace(dataset, excitations=tuple(updated))
 
 
-def force_change(
-    parameter: ModelParameter, parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset
-) -> np.ndarray | None:
-    """(S, n, R) N, derivative of the forces by a parameter, at the values of all; None where it moves none.
+def force_changes(
+    parameters: Sequence[ModelParameter], rotor: RotorModel, dataset: VibrationDataset
+) -> list[np.ndarray | None]:
+    """(S, n, R) N, derivative of the forces by each parameter, at the values of all; None where it moves none.
 
     ``dataset`` has the weights as they are stated.
     """
-    changes = []
+    changes: list[list[Excitation]] = [[] for _ in parameters]
     for i, weight in number_excitations(dataset.excitations):
-        if number := _shifted(parameter, weight, i):
-            by_number = _act(weight, i, parameters)[1][number]
-            changes.append(_vector(weight, parameter.deviation * _part(parameter) * by_number))
-    return assemble_forces(rotor, tuple(changes), dataset.runs, dataset.frequencies) if changes else None
+        acting = _list_acting(weight, i, parameters)
+        slopes = _act(weight, acting)[1]
+        for t, parameter in acting:
+            changes[t].append(_vector(weight, _unit(parameter) * slopes[parameter.row.weight]))
+    runs, frequencies = dataset.runs, dataset.frequencies
+    return [assemble_forces(rotor, tuple(change), runs, frequencies) if change else None for change in changes]
 
 
-def _shifted(parameter: ModelParameter, weight: Excitation, i: int) -> str:
-    """The number of a weight that the parameter shifts, or nothing."""
-    kind = parameter.row
-    if isinstance(kind, _WeightKind) and weight.kind == "unbalance" and kind.belongs(parameter, i, weight):
-        return kind.shifts
-    return ""
+_Acting = Sequence[tuple[int, "ModelParameter"]]
 
 
-def _part(parameter: ModelParameter) -> complex:
-    """Along which part of a number it shifts: the law's has two."""
-    return PARTS[parameter.detail] if parameter.kind == "weight_law" else 1.0
+def _list_acting(weight: Excitation, i: int, parameters: Sequence[ModelParameter]) -> _Acting:
+    """Which of the parameters shift a number of a weight."""
+    uncertain = [(t, parameter) for t, parameter in enumerate(parameters) if parameter.row.weight]
+    turns = weight.kind == "unbalance"
+    return [(t, parameter) for t, parameter in uncertain if turns and parameter.row.belongs(parameter, i, weight)]
 
 
-def _act(weight: Excitation, i: int, parameters: Sequence[ModelParameter]) -> tuple[complex, dict[str, complex]]:
+def _unit(parameter: ModelParameter) -> complex:
+    """By how much one deviation shifts a weight's number."""
+    return bend_law(parameter) or parameter.deviation
+
+
+def _act(weight: Excitation, acting: _Acting) -> tuple[complex, dict[str, complex]]:
     """What a weight acts as, and the derivative of that by each of its numbers."""
     numbers: dict[str, complex] = {"angle": weight.phase, "gain": 0.0, "share": 1.0, "law": 0.0}
-    for parameter in parameters:
-        if number := _shifted(parameter, weight, i):
-            numbers[number] += parameter.shift * _part(parameter)
+    for _, parameter in acting:
+        numbers[parameter.row.weight] += parameter.value * _unit(parameter)
     share, law = numbers["share"].real, numbers["law"]
     size, turn = float(weight.magnitude * np.exp(numbers["gain"].real) * share), np.exp(1j * numbers["angle"].real)
     by_size = turn * (1 + 2 * law * size)
@@ -107,11 +101,7 @@ def _vector(excitation: Excitation, value: complex) -> Excitation:
 
 def bend_law(parameter: ModelParameter) -> complex:
     """What one deviation adds to a of the weights' law, 1/(kg m); zero for a parameter that is none of it."""
-    return parameter.deviation * _part(parameter) if parameter.kind == "weight_law" else 0j
-
-
-def _find_all(machine: Machine) -> list[Place]:
-    return everywhere(machine) if machine.weights else []
+    return parameter.deviation * PARTS[parameter.detail] if parameter.row.weight == "law" else 0j
 
 
 def _find_each(machine: Machine) -> list[Place]:
@@ -132,73 +122,82 @@ def _has_label(parameter: ModelParameter, _: int, weight: Excitation) -> bool:
 
 
 KINDS = (
-    _WeightKind(
+    Kind(
         name="unbalance_magnitude",
         prior=PositiveShare,
         meaning="of each weight, as a share",
         places=_find_each,
+        missing="no run with an unbalance",
         usual=0.02,
         scope="run",
-        shifts="share",
+        weight="share",
         belongs=_is_that,
     ),
-    _WeightKind(
+    Kind(
         name="unbalance_phase",
         prior=PositiveAngle,
         meaning="of the angle of each weight",
         places=_find_each,
+        missing="no run with an unbalance",
         unit="rad",
         usual=np.pi / 90,
         scope="run",
         mirrored=True,
-        shifts="angle",
+        weight="angle",
         belongs=_is_that,
     ),
-    _WeightKind(
+    Kind(
         name="weight_angle",
         prior=PositiveAngle,
         meaning="of the angle of all weights alike, as a keyphasor's unknown place",
-        places=_find_all,
+        places=lambda machine: everywhere(machine) if machine.weights else [],
+        missing="no run with an unbalance",
         unit="rad",
         mirrored=True,
-        shifts="angle",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="angle",
     ),
-    _WeightKind(
+    Kind(
         name="weight_law",
         prior=WeightLaw,
         meaning="of the a in U (1 + a |U|), as all weights act; real and imaginary part",
         places=lambda machine: [Place(component, 0, component) for component in PARTS if machine.weights],
+        missing="no run with an unbalance",
         unit="1/(kg m)",
-        shifts="law",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="law",
     ),
-    _WeightKind(
+    Kind(
         name="weight_gain",
         prior=PositiveFloat,
         meaning="of the logarithm of a factor of all weights alike, as an unknown unit",
-        places=_find_all,
+        places=lambda machine: everywhere(machine) if machine.weights else [],
+        missing="no run with an unbalance",
         unit="ln",
-        shifts="gain",
-        belongs=lambda _, __, ___: True,
+        scope="runs",
+        weight="gain",
     ),
-    _WeightKind(
+    Kind(
         name="label_gain",
         prior=PositiveFloat,
         meaning="of the logarithm of a factor of all weights of one stated size",
         places=_find_labels,
+        missing="no run with an unbalance",
         unit="ln",
-        shifts="gain",
+        scope="runs",
+        weight="gain",
         belongs=_has_label,
     ),
-    _WeightKind(
+    Kind(
         name="label_angle",
         prior=PositiveAngle,
         meaning="of the angle of all weights of one stated size",
         places=_find_labels,
+        missing="no run with an unbalance",
         unit="rad",
         mirrored=True,
-        shifts="angle",
+        scope="runs",
+        weight="angle",
         belongs=_has_label,
     ),
 )

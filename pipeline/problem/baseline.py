@@ -22,7 +22,7 @@ from pipeline.rotor.bearing_table import BearingTable
 
 def _scale_bearings(measurement: Measurement) -> np.ndarray:
     """(B, T) what one deviation of each parameter adds to one, by which a bearing is scaled in the baseline."""
-    return drift_scales(measurement.parameters, (BASELINE,), len(measurement.rotor.bearing_nodes))[0]
+    return np.asarray(drift_scales(measurement.parameters, (BASELINE,), len(measurement.rotor.bearing_nodes))[0])
 
 
 def find_baseline(measurement: Measurement, bearings: BearingTable, least: float = 1e-2) -> tuple[complex, ...]:

@@ -21,7 +21,7 @@ from pipeline.parameters.geometry import bow_change, bow_force
 from pipeline.parameters.kind import turns_with_rotor
 from pipeline.parameters.model import ModelParameter, rotor_change, update_rotor
 from pipeline.parameters.probes import runout, sensor_change, sensor_matrix
-from pipeline.parameters.weights import force_change, update_excitations
+from pipeline.parameters.weights import force_changes, update_excitations
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.dynamic_stiffness import apply, banded, coupled, solve
 from pipeline.rotor.interpolation import bearing_places
@@ -137,6 +137,7 @@ def response_variations(
     updated, data = update_rotor(rotor, parameters), update_excitations(dataset, parameters)
     sensors, bow = sensor_matrix(dataset, updated, parameters), bow_force(parameters, rotor)
     places, system, ground = bearing_places(updated), banded(updated), casing_dof(updated).ravel()
+    forces = force_changes(parameters, rotor, dataset)
     reference, speeds, turns = stiffness * (1 + 1j * REFERENCE_LOSS), dataset.speeds, turns_with_rotor(dataset)
     impedance = places.spread(np.broadcast_to(reference * np.eye(2), (len(places.dof), len(speeds), 2, 2)))
     blocks, rows = [], places.loads(updated.n_dof).T
@@ -146,12 +147,12 @@ def response_variations(
         adjoint = solve(system, w, speeds, right, impedance, places.dof, transposed=True).swapaxes(1, 2)  # (S, .., n)
         pushed, felt, forced = adjoint @ rows.T, rows @ solved, slice(0, len(runs))
         loaded, changes = slice(solved.shape[-1] - count, solved.shape[-1] - len(ground)), []
-        for parameter in parameters:
+        for parameter, force in zip(parameters, forces, strict=True):
             variation = np.zeros((*adjoint.shape[:2], solved.shape[-1]), dtype=complex)
             if (change := rotor_change(parameter, rotor)) is not None:
                 at = coupled(change)
                 variation -= parameter.slope * adjoint[..., at] @ apply(change, at, at, w, speeds, solved[:, at])
-            if (force := force_change(parameter, parameters, rotor, dataset)) is not None:
+            if force is not None:
                 variation[..., forced] += adjoint @ force[..., runs]
             if (bent := bow_change(parameter, rotor)) is not None:
                 variation[..., forced] += (adjoint @ bent)[..., None] * turns[runs]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -59,31 +58,27 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> 
         _open_console(False).print(drawn, markup=False, crop=False)
 
 
-_STEPS = logging.Logger(__name__)  # none of the shared tree, whose loggers Optuna's tables disable
-"""What long steps have done."""
+_LOGS: list[Path] = []
+"""Where long steps write what they have done; the last one counts."""
 
 
 @contextmanager
 def log_steps(folder: Path) -> Iterator[None]:
     """Write each step of what has a bar into ``log.txt`` of the ``folder``, a line with its time; without any, none."""
-    handler = logging.FileHandler(folder / "log.txt", encoding="utf-8", delay=True)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-
-    def make_folder(record: logging.LogRecord) -> bool:
-        """Before the first line."""
-        folder.mkdir(parents=True, exist_ok=True)
-        return True
-
-    handler.addFilter(make_folder)
-    raised, logging.raiseExceptions = logging.raiseExceptions, False  # a full disk is no traceback
-    _STEPS.addHandler(handler)
+    _LOGS.append(folder / "log.txt")
     try:
         yield
     finally:
-        _STEPS.removeHandler(handler)
-        with suppress(OSError):  # what can't be written is said of the results
-            handler.close()
-        logging.raiseExceptions = raised
+        _LOGS.pop()
+
+
+def _log(text: str) -> None:
+    """Add a line. What can't be written, as on a full disk, is said of the results."""
+    for path in _LOGS[-1:]:
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a", encoding="utf-8") as file:
+                file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
 @contextmanager
@@ -97,7 +92,7 @@ def training_progress(name: str) -> Iterator[Progress]:
             nonlocal due
             if time.monotonic() > due or step == total:
                 due = time.monotonic() + 1.0
-                _STEPS.info("%s %s: step %d of %d, loss %s", name, phase, step, total, write_number(loss))
+                _log(f"{name} {phase}: step {step} of {total}, loss {write_number(loss)}")
             rate = f"{bar.tasks[0].speed:.0f} steps/s" if bar.tasks[0].speed else ""
             bar.update(
                 task,
@@ -117,7 +112,7 @@ def count_progress(name: str, total: int) -> Iterator[Callable[[int, str], None]
 
         def update(done: int, words: str) -> None:
             """So many are done."""
-            _STEPS.info("%s: %d of %d %s", name, done, total, words)
+            _log(f"{name}: {done} of {total} {words}")
             bar.update(task, completed=done, words=f"{words}, left:")
 
         yield update

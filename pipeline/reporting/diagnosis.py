@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -148,21 +147,18 @@ def _span(ends: Mapping[str, float]) -> str:
 def describe_combinations(combinations: Combinations) -> str:
     """Sentences: the best and the least known combination, the run that would tell more, and the tolerances."""
     ends = (("best", combinations.strongest), ("least", combinations.weakest))
-    text = ", ".join(f"known {which} is {end.words} (+- {_show(100 * end.deviation)} %)" for which, end in ends)
+    text = ", ".join(f"known {which} is {end.words} (+- {write_rough(100 * end.deviation)} %)" for which, end in ends)
     if run := combinations.next_run:
-        rpm, deviation = write_number(run.speed / RAD_S_PER_RPM), _show(100 * run.deviation)
+        rpm, deviation = write_number(run.speed / RAD_S_PER_RPM), write_rough(100 * run.deviation)
         text += f"; '{run.run}' at {rpm} rpm besides would tell that to +- {deviation} %"
     told = {kind: span for kind, span in combinations.parameters.items() if span[0] < WORTH}
     if told:
         ranges = {kind: [least] if most - least < 0.05 else [least, most] for kind, (least, most) in told.items()}
-        shares = (f"{kind} {' to '.join(map(_show, span))}" for kind, span in ranges.items())
+        shares = (f"{kind} {' to '.join(map(write_rough, span))}" for kind, span in ranges.items())
         text += f". The data narrow the tolerances (what is left, as a share): {', '.join(shares)}"
     if untold := [kind for kind in combinations.parameters if kind not in told]:
         text += f". They tell next to nothing of {', '.join(untold)}"
     return text + "."
-
-
-_show = partial(write_number, digits=2)
 
 
 def summarize_combinations(combinations: Combinations) -> dict[str, Any]:

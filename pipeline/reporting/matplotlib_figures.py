@@ -50,15 +50,15 @@ def write_panel(path: Path, panel: Panel) -> Path:
     return write_figure(path, Figure("", "", [panel], columns=1))
 
 
-def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int) -> tuple[Any, float]:
-    """The picture of panels, and its height in inches."""
+def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int) -> Any:
+    """The picture of panels."""
     from matplotlib import rc_context
     from PIL import Image
 
     with rc_context(_STYLE):
         drawing = draw_panels(panels, legend, columns, dots_an_inch)
         drawing.canvas.draw()
-        return Image.fromarray(np.asarray(drawing.canvas.buffer_rgba())[..., :3].copy()), drawing.get_figheight()
+        return Image.fromarray(np.asarray(drawing.canvas.buffer_rgba())[..., :3].copy())
 
 
 def draw_panels(
@@ -72,13 +72,11 @@ def draw_panels(
     from matplotlib.figure import Figure as Drawing
 
     width = PANEL_WIDTH * max(columns, 2)
-    each, across = width / columns, max(4, 2 * columns)
-    lines = wrap(caption, int(18 * width))
-    above = 0.06 + 0.14 * len(lines)
-    top = above + 0.17 * -(-len(legend) // across)
+    each, lines = width / columns, wrap(caption, int(18 * width))
+    above, edge = 0.14 * len(lines), 0.06
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
-    heights = [max(map(_measure_height, row)) for row in rows]
-    height = top + sum(heights)
+    heights = measure_heights(panels, legend, columns, edge)
+    height, top = above + sum(heights), above + heights.pop(0)
     drawing = Drawing(figsize=(width, height), dpi=dots_an_inch)
     FigureCanvasAgg(drawing)
     for r, row in enumerate(rows):
@@ -87,16 +85,30 @@ def draw_panels(
             left, below = _measure_margins(panel)
             lift = 0.42 if panel.round else 0.22 + 0.13 * (len(_wrap_title(panel)) - 1)  # for the angles around it
             box = np.array([i * each + left, bottom + below, each - left - 0.14, heights[r] - below - lift])
-            drawn = _draw_panel(drawing, panel, box / [width, height, width, height])
-            _make_room(drawing, drawn, i / columns)
+            _draw_panel(drawing, panel, box / [width, height, width, height])
     if lines:
         drawing.text(0.01, 1 - 0.05 / height, "\n".join(lines), va="top", fontsize=7)
     if legend:
-        keys, place = [_draw_key(curve) for curve in legend], (0.0, 1 - above / height)
         drawing.legend(
-            handles=keys, loc="upper left", ncols=across, bbox_to_anchor=place, borderaxespad=0.1, fontsize=7
+            handles=[_draw_key(curve) for curve in legend],
+            loc="upper left",
+            ncols=_count_across(columns),
+            bbox_to_anchor=(0.0, 1 - (above + edge) / height),
+            borderaxespad=0.1,
+            fontsize=7,
         )
     return drawing
+
+
+def measure_heights(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, edge: float = 0.06) -> list[float]:
+    """Inches of the legend, below the ``edge``, and of each row of panels."""
+    rows = (panels[first : first + columns] for first in range(0, len(panels), columns))
+    return [edge + 0.17 * -(-len(legend) // _count_across(columns)), *(max(map(_measure_height, row)) for row in rows)]
+
+
+def _count_across(columns: int) -> int:
+    """Keys of a legend side by side."""
+    return max(4, 2 * columns)
 
 
 def _measure_height(panel: Panel) -> float:
@@ -110,13 +122,13 @@ def _measure_height(panel: Panel) -> float:
 
 
 def _measure_margins(panel: Panel) -> tuple[float, float]:
-    """Inches left of a panel and below it, for the words at its ticks."""
+    """Inches left of a panel and below it, for the words at its ticks: numbers of seven characters, and names."""
     longest = max([0, *(len(name) for axes in panel.axes for name in axes.y_names)])
     lines = 1 + max([0, *(name.count("\n") for name in panel.x_names)])
     widest = max([0, *(len(line) for name in panel.x_names for line in name.split("\n"))])
     below = 0.062 * widest + 0.08 * (lines - 1) if _is_turned(panel) else 0.12 * (lines - 1)
     titles = max(axes.y_title.count("\n") for axes in panel.axes)
-    return max(0.62 + 0.12 * titles, 0.36 + 0.056 * longest), 0.42 + below
+    return max(0.7 + 0.12 * titles, 0.36 + 0.062 * longest), 0.42 + below
 
 
 def _wrap_title(panel: Panel) -> list[str]:
@@ -141,19 +153,7 @@ def _draw_key(curve: Curve) -> Any:
     return Line2D([], [], mfc=face, ms=4, lw=min(0.8 * curve.width, 4), label=curve.label, **look)
 
 
-def _make_room(drawing: Any, drawn: Sequence[Any], edge: float, apart: float = 0.015) -> None:
-    """Narrow the axes of a panel where words at their ticks would reach beyond its ``edge``, a share of the width."""
-    renderer, whole = drawing.canvas.get_renderer(), drawing.bbox.width
-    outer = [axis for ax in drawn for axis in (ax.yaxis, *((ax.xaxis,) if ax.name == "polar" else ()))]
-    boxes = (axis.get_tightbbox(renderer) for axis in outer)  # none of an axis without words
-    lack = edge + apart - min((box.x0 for box in boxes if box), default=whole) / whole
-    for ax in drawn if lack > 0 else ():
-        box = ax.get_position()
-        ax.set_position((box.x0 + lack, box.y0, box.width - lack, box.height))
-
-
-def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
-    """The axes of a panel, the upper one first."""
+def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
     from matplotlib.ticker import MaxNLocator
 
     left, bottom, width, height = box
@@ -167,7 +167,7 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
         ax.tick_params(labelsize=6)
         ax.yaxis.set_major_locator(MaxNLocator(4))
         ax.set_rlabel_position(panel.bare_lag)
-        return [ax]
+        return
     shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
     drawn = []
@@ -185,7 +185,6 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> list[Any]:
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
         _draw_keys(drawn[0], [_draw_key(key) for key in list_keys([panel])])
-    return drawn
 
 
 def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> None:

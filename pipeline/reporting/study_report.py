@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from pipeline.reporting.blocks import format_markdown
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.tuning.finalists import Finalist, TrialSummary
 from pipeline.tuning.study import describe_objective
-from pipeline.write_numbers import write_number, write_value
+from pipeline.write_numbers import write_number, write_rough, write_value
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,9 +157,6 @@ def _divide(before: float, after: float) -> float | None:
     return before / after if np.isfinite(before) and after > 0 else None
 
 
-_show = partial(write_number, digits=2)
-
-
 def judge_study(report: StudyReport) -> str:
     """Say in a sentence whether tuning helped."""
     before, after = report.default.median, report.best.median
@@ -242,7 +239,7 @@ def _compare(report: StudyReport) -> str:
         cells = [_write_span(float(np.median(error)), error) for error in errors]
         rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
     if (series := report.chebyshev) is not None:
-        cells = [_show(report.chebyshev_errors[name]) for name in names]
+        cells = [write_rough(report.chebyshev_errors[name]) for name in names]
         loss = write_number(series.held_out_loss, digits=3)
         rows.append([f"Chebyshev series, degree {series.degree}", loss, *cells, ""])
     caption = f"Median over {len(report.config.tuning.seeds)} seeds (lowest to highest)"
@@ -252,7 +249,7 @@ def _compare(report: StudyReport) -> str:
 
 
 def _write_span(middle: float, values: np.ndarray, digits: int = 2) -> str:
-    return f"{write_number(middle, digits=digits)} ({_show(values.min())} to {_show(values.max())})"
+    return f"{write_number(middle, digits=digits)} ({write_rough(values.min())} to {write_rough(values.max())})"
 
 
 def _explain_limits(report: StudyReport) -> list[str]:
@@ -261,7 +258,10 @@ def _explain_limits(report: StudyReport) -> list[str]:
         return []
     series, best = report.chebyshev, report.best
     room = report.default.median / series.held_out_loss
-    gain = f"Smooth functions of the speed hardly do better: the default had a factor of {_show(room)} to gain there."
+    gain = (
+        "Smooth functions of the speed hardly do better: the default had a factor of "
+        f"{write_rough(room)} to gain there."
+    )
     text = (
         "**What limits it.** A Chebyshev series of the speed, fitted by linear least squares (one answer, no "
         f"training), reaches a held-out loss of {write_number(series.held_out_loss, digits=3)} at its best degree, "
@@ -269,11 +269,11 @@ def _explain_limits(report: StudyReport) -> list[str]:
     )
     if best is report.default:
         return [text]
-    sentences = [f"{text} The chosen values have {_show(max(best.median / series.held_out_loss, 1.0))} left."]
+    sentences = [f"{text} The chosen values have {write_rough(max(best.median / series.held_out_loss, 1.0))} left."]
     medians = {name: report.medians(name) for name in report.chebyshev_errors}
     gains = (
-        f"{name} {_show(before)} to {_show(after)} % "
-        f"({_show(before / after)} times; series {_show(report.chebyshev_errors[name])} %)"
+        f"{name} {write_rough(before)} to {write_rough(after)} % "
+        f"({write_rough(before / after)} times; series {write_rough(report.chebyshev_errors[name])} %)"
         for name, (before, after) in medians.items()
     )
     sentences += [f"Median errors, default to chosen: {', '.join(gains)}."] if medians else []

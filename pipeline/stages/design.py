@@ -101,9 +101,11 @@ def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
     print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
-    stated = config.identify.model_parameters.deviations
-    kinds = [] if weighed else [kind.name for kind in weights.KINDS if kind.name in stated]
-    without = "".join(f" identify.model_parameters.{kind}=null" for kind in kinds)
+    without = "".join(
+        f" identify.model_parameters.{kind.name}=null"
+        for kind in weights.KINDS
+        if not weighed and kind.name in config.identify.model_parameters.deviations
+    )
     numbers = {"accuracy": accuracy, "reached": best.worst <= accuracy, "predicted": predicted, "cures": cures}
     return chosen, speeds, numbers | {"speeds": speeds.model_dump()}, {"predicted": predicted}, without
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import Excitation
+from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.model_parameters import turns_with_rotor
 from pipeline.problem.response import ResponseEquations
 
 

@@ -155,7 +155,7 @@ def killed(*_: object) -> Result:
 @pytest.mark.slow
 def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "_judge", killed)
-    with pytest.raises(PipelineError, match="run the same command again, with comparison.workers=1"):
+    with pytest.raises(PipelineError, match=r"run the same command again, with comparison\.workers=1"):
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
 
 

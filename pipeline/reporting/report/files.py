@@ -31,7 +31,7 @@ from pipeline.reporting.blocks import (
     count_decades,
     typeset,
 )
-from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image
+from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image, measure_heights
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?( \*)?")
 """Columns of these are aligned to the right."""
@@ -320,10 +320,10 @@ def _place_figure(pdf: Any, figure: Figure, dots_an_inch: int = 110) -> None:
     """Rows of panels one after the other, so that a page may end between them; the legend above the first of a page."""
     columns, scale = 1 if any(panel.wide for panel in figure.panels) else 2, _WIDTH / (2 * PANEL_WIDTH)
     for first in range(0, len(figure.panels), columns):
-        row, legend = figure.panels[first : first + columns], figure.legend()
-        image, height = draw_image(row, [] if first else legend, columns, dots_an_inch)
+        row, legend = figure.panels[first : first + columns], [] if first else figure.legend()
         caption = 10.0 if first + columns >= len(figure.panels) else 0.0  # mm: it stays below its last row
-        if pdf.will_page_break(scale * height + caption):
+        if pdf.will_page_break(scale * sum(measure_heights(row, legend, columns)) + caption):
             pdf.add_page()
-            image, height = draw_image(row, legend, columns, dots_an_inch)
-        pdf.image(image, w=_WIDTH, h=scale * height)
+            legend = figure.legend()
+        height = scale * sum(measure_heights(row, legend, columns))
+        pdf.image(draw_image(row, legend, columns, dots_an_inch), w=_WIDTH, h=height)

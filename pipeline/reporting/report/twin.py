@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.data.dataset import synchronous
-from pipeline.data.vibration_files import to_rpm
+from pipeline.data.vibration_files import write_range
 from pipeline.ingest.conventions import GRAM_MILLIMETRE
 from pipeline.reporting.blocks import (
     RPM,
@@ -38,13 +38,13 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     The growth rate of a machine at rest in a mode is known to ``rounding`` (1/s).
     """
     running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
-    rpm, identified = to_rpm(behaviour.modes.speeds), cast("Mapping[str, Any]", summarize_modes(behaviour, running))
+    speeds, identified = behaviour.modes.speeds, cast("Mapping[str, Any]", summarize_modes(behaviour, running))
     stability = identified["stability"]
     largest, known = stability["largest_growth"], stability.get("largest_growth_std") or 0.0
     growth = write_number(largest, known if known > rounding else None, 3)
     text = (
-        f"The identified machine is {describe_stability(stability)} ({_name_range(rpm)}{fit.state}, modes up to twice "
-        f"the top speed)"
+        f"The identified machine is {describe_stability(stability)} (from {write_range(speeds)}{fit.state}, modes up "
+        "to twice the top speed)"
         + f"; the largest growth rate of all modes is {growth} 1/s"
         * (stability["verdict"] == Stability.STABLE and largest < -2.0 * known)
         + ". A critical speed is where a damped natural frequency equals the rotor speed. In the sense of API RP 684 "
@@ -62,18 +62,14 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
             )
             for text in fit.beyond
         ),
-        _list_critical_speeds(rpm, identified["critical_speeds"]),
-        *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(rpm) > 1 else ()),
+        _list_critical_speeds(speeds, identified["critical_speeds"]),
+        *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(speeds) > 1 else ()),
     ]
 
 
-def _name_range(rpm: np.ndarray) -> str:
-    return f"from {' to '.join(write_number(float(speed), digits=6) for speed in rpm[[0, -1]])} rpm"
-
-
-def _list_critical_speeds(rpm: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
+def _list_critical_speeds(speeds: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
     if not critical:
-        return f"No damped natural frequency equals the rotor speed {_name_range(rpm)}."
+        return f"No damped natural frequency equals the rotor speed from {write_range(speeds)}."
     return Table(
         "Damped critical speeds",
         ["critical speed", *CRITICAL],
