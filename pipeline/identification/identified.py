@@ -102,7 +102,7 @@ class FittedParameter:
     @property
     def number(self) -> dict[str, float]:
         """A support's own number and its deviation, SI; empty for what is a change of something stated."""
-        if not self.parameter.stated:
+        if not self.parameter.stated or not self.parameter.growth:
             return {}
         number = self.parameter.stated * self.parameter.slope
         return {"number": number, "number_deviation": number * self.parameter.deviation * self.deviation}

@@ -265,8 +265,11 @@ def _start_by_laws(
         problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
     else:
         problem = _without_correction(output_error(training, basis, plane_scale))
-    weights = _weights_of(problem, theta)
-    return problem, {"weights": weights, "from_guess": False, "law_starts": tuple(counts)}
+    weights, first = _weights_of(problem, theta), {"from_guess": False, "law_starts": tuple(counts)}
+    if any(parameter.kind == "base_participation" for parameter in training.parameters):
+        weights, first["near"] = _temper(problem, weights, setup.optimizer.levenberg_marquardt), True
+        problem = problem.update(weights)
+    return problem, {"weights": weights} | first
 
 
 def _fit_laws(

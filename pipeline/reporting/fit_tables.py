@@ -172,7 +172,7 @@ def list_parameters(
         unit, factor = KINDS[kind].shown_unit
         remark = "" if number["deviation"] < told * prior else "as stated: the data do not tell"
         if not remark and "number" in number:
-            remark = f"{write_number(number['number'], number['number_deviation'])} {KINDS[kind].stated_unit}"
+            remark = _write_held(kind, place, number["number"], number["number_deviation"])
         rows.append(
             [
                 f"{spell(kind)} {place}".strip(),
@@ -186,6 +186,16 @@ def list_parameters(
     return Table(
         caption, ["parameter", "unit", "stated", "found", "over its tolerance", "remark"], rows
     ).without_blank()
+
+
+def _write_held(kind: str, place: str, number: float, deviation: float) -> str:
+    """A support's own number; of a mode of a base, with unit mass, w^2 is its frequency and 2 zeta w a rate."""
+    if not place.startswith("mode"):
+        return f"{write_number(number, deviation)} {KINDS[kind].stated_unit}"
+    if kind == "support_damping":
+        return f"{write_number(number, deviation)} 1/s"
+    hertz = np.sqrt(number) / (2 * np.pi)
+    return f"{write_number(hertz, hertz * deviation / (2 * number))} Hz"
 
 
 _ZERO_CELSIUS = 273.15
