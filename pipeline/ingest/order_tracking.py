@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -111,9 +112,9 @@ def fit_sweep(
         _list_windows(signals, float(centre), float(speed), settings)
         for centre, speed in zip(centres, speeds, strict=True)
     ]
-    turning = signals.turning
+    turning: Callable[[slice], np.ndarray] = signals.turning
     if sum(2 * halves[-1] for halves in windows) > signals.time[-1] - signals.time[0]:
-        turning = turning(slice(None)).__getitem__  # they overlap: once for all
+        turning = partial(np.ndarray.__getitem__, signals.turning(slice(None)))  # they overlap: once for all
     degree = 6 if settings.degree is None else settings.degree
     degrees = (other_degree, degree, *[min(other_degree, degree)] * (settings.orders - 1))
     fits = [
