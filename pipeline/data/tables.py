@@ -208,10 +208,9 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
                     column_types=dict.fromkeys(numbers, pa.float64()), default_column_type=pa.string(), null_values=[]
                 ),
             )
-            if not all(np.isfinite(_to_array(column)).all() for column in stored.columns if column.type == "double"):
-                raise ValueError("a number is not finite")
-            names = name_columns(_read_head(path, text, text.first), text.skip_rows or 0)
-            return _Table(names, stored.columns, text.first, text.decimal or ".")
+            if all(np.isfinite(_to_array(column)).all() for column in stored.columns if column.type == "double"):
+                names = name_columns(_read_head(path, text, text.first), text.skip_rows or 0)
+                return _Table(names, stored.columns, text.first, text.decimal or ".")
     return _explain_csv(path, text)
 
 

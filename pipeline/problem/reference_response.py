@@ -88,9 +88,14 @@ def _solved(
         response = solve(system, w, speeds, right, impedance, places.dof)
         apart = np.flatnonzero((dataset.frequencies[:, runs] != w[:, None]).any(axis=0))
         if len(apart):  # (S, r) systems of one right side each, as (S r,)
-            each = dataset.frequencies[:, runs[apart]].ravel(), np.repeat(speeds, len(apart))
-            single = right[..., apart].swapaxes(1, 2).reshape(-1, rotor.n_dof, 1)
-            alone = solve(system, *each, single, np.repeat(impedance, len(apart), axis=1), places.dof)
+            alone = solve(
+                system,
+                dataset.frequencies[:, runs[apart]].ravel(),
+                np.repeat(speeds, len(apart)),
+                right[..., apart].swapaxes(1, 2).reshape(-1, rotor.n_dof, 1),
+                np.repeat(impedance, len(apart), axis=1),
+                places.dof,
+            )
             response[..., apart] = alone.reshape(len(speeds), len(apart), -1).swapaxes(1, 2)
         yield runs, w, len(turning_planes), response
 
