@@ -47,10 +47,10 @@ reproduce: env  ## run every experiment whose inputs changed (dvc repro), then t
 	$(RUN) pipeline stage=check tracking=none
 
 experiments-a-l:
-	$(RUN) dvc --wait-for-lock repro --single-item --glob '*@[a-l]*' ordinary
+	$(RUN) dvc --wait-for-lock repro --single-item --glob '*@[a-l]*'
 
 experiments-m-z:
-	$(RUN) dvc --wait-for-lock repro --single-item --glob '*@[m-z]*'
+	$(RUN) dvc --wait-for-lock repro --single-item --glob '*@[m-z]*' ordinary
 
 test: reproduce  ## make what changed and check it, run the tests (all but the nightly ones), and check again
 	$(PYTEST)

@@ -47,13 +47,14 @@ def without_password(text: str) -> str:
     return text
 
 
-def nearest(name: str, candidates: Iterable[str]) -> str:
-    """The words that follow an unknown name: the nearest candidate, and all of them."""
+def nearest(name: str, candidates: Iterable[str], most: int = 100) -> str:
+    """The words that follow an unknown name: the nearest candidate, and all of them, or the first ``most``."""
     known = sorted(candidate if len(candidate) <= 40 else f"{candidate[:37]}..." for candidate in candidates)
     lower = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     hint = f"did you mean '{lower[close[0]]}'? " if close else ""
-    return f"{hint}(known: {', '.join(known)})"
+    more = f" and {len(known) - most:,} more" if len(known) > most else ""
+    return f"{hint}(known: {', '.join(known[:most])}{more})"
 
 
 def name_beside(path: Path) -> str:

@@ -192,6 +192,7 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
     from pyarrow import csv as arrow
 
     text = recognize_csv(path, columns, text)
+    numbers = [name for name, kind in columns.items() if kind == "number" and text.decimal == "."]
     with suppress(OSError, ValueError), path.open(newline="", encoding=text.encoding) as file:
         if not any('"' in content or "\0" in content for content in iter(partial(file.read, block), "")):
             stored = arrow.read_csv(
@@ -203,10 +204,13 @@ def _read_csv(path: Path, columns: Mapping[str, str], text: CsvConfig, block: in
                     use_threads=False,
                 ),
                 parse_options=arrow.ParseOptions(delimiter=text.delimiter),
-                convert_options=arrow.ConvertOptions(default_column_type=pa.string()),
+                convert_options=arrow.ConvertOptions(
+                    column_types=dict.fromkeys(numbers, pa.float64()), default_column_type=pa.string(), null_values=[]
+                ),
             )
-            names = name_columns(_read_head(path, text, text.first), text.skip_rows or 0)
-            return _Table(names, stored.columns, text.first, text.decimal or ".")
+            if all(np.isfinite(_to_array(column)).all() for column in stored.columns if column.type == "double"):
+                names = name_columns(_read_head(path, text, text.first), text.skip_rows or 0)
+                return _Table(names, stored.columns, text.first, text.decimal or ".")
     return _explain_csv(path, text)
 
 
@@ -318,7 +322,7 @@ def _to_array(column: Any) -> Sequence[Any] | np.ndarray:
         return np.array(np.from_dlpack(column.combine_chunks()))
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         array = column.combine_chunks().cast("float64")
-        return np.array(np.from_dlpack(array.fill_null(float("nan")) if array.null_count else array))
+        return np.from_dlpack(array.fill_null(float("nan")) if array.null_count else array)
     if (pa.types.is_string(kind) or pa.types.is_large_string(kind)) and not column.null_count:
         coded = column.combine_chunks().dictionary_encode()  # a few texts, many times each
         return np.array(coded.dictionary.to_pylist(), dtype=object)[np.from_dlpack(coded.indices)]

@@ -51,7 +51,10 @@ def measure_full_spectra(
         count = int((turns[-1] - turns[0]) // part_turns)
         for shown in np.unique(np.linspace(0, count - 1, min(count, most_parts)).round().astype(int)):
             at = np.interp(turns[0] + shown * part_turns + step, turns, record.time)
-            xy = inverse @ np.stack([np.interp(at, record.time, record.values[:, p]) for p in columns])
+            first, last = np.searchsorted(record.time, at[[0, -1]])
+            near = slice(max(first - 1, 0), last + 1)
+            seen = record.displacement(near).T[columns]
+            xy = inverse @ np.stack([np.interp(at, record.time[near], values) for values in seen])
             centre = xy.mean(axis=1)
             moving = (xy[0] - centre[0]) + 1j * (xy[1] - centre[1])
             spectrum_lines = np.abs(np.fft.fftshift(np.fft.fft(moving * window))) / window.sum()

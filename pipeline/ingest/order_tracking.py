@@ -21,8 +21,9 @@ Legend: n samples, P signals, K orders, S speeds. SI.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -39,16 +40,25 @@ class Signals:
     """What was recorded together; ``where`` names it in messages."""
 
     time: np.ndarray  # (n,) s, ascending
-    values: np.ndarray  # (n, P), m
+    values: np.ndarray  # (n, P), as they are stored
     angle: ShaftAngle
     where: str
     late: float = 0.0  # s, by which all pulses of the tacho may be off together
     notes: tuple[str, ...] = ()  # sentences that need attention
+    sizes: np.ndarray = field(default_factory=lambda: np.ones(1))  # (P,) m of a unit that is stored
 
     def between_pulses(self) -> Signals:
         """The samples from the first tacho pulse to the last: only there is the angle known."""
         keep = slice(*np.searchsorted(self.time, [self.angle.start, self.angle.end]))
         return replace(self, time=self.time[keep], values=self.values[keep])
+
+    def displacement(self, samples: slice) -> np.ndarray:
+        """(.., P) m of some ``samples``."""
+        return np.asarray(self.values[samples] * self.sizes)
+
+    def turning(self, samples: slice) -> np.ndarray:
+        """(..,) e^{j phi} of some ``samples``."""
+        return np.asarray(np.exp(1j * self.angle.angle(self.time[samples])))
 
 
 def _make_columns(degrees: Sequence[int], x: np.ndarray, turning: np.ndarray) -> np.ndarray:
@@ -81,7 +91,7 @@ def fit_steady(signals: Signals, settings: OrderTrackingConfig) -> tuple[float, 
     centre = 0.5 * (signals.angle.start + signals.angle.end)
     half = 0.5 * (signals.angle.end - signals.angle.start)
     degrees = (1, settings.degree or 0, *[0] * (settings.orders - 1))
-    ((vectors, _),) = _fit_each(signals, np.exp(1j * signals.angle.angle(signals.time)), centre, [half], degrees)
+    ((vectors, _),) = _fit_each(signals, signals.turning, centre, [half], degrees)
     return mean, vectors
 
 
@@ -98,13 +108,19 @@ def fit_sweep(
     signals = signals.between_pulses()
     centres = find_passages(signals, speeds, settings)
     _check_sampling(signals, float(speeds.max()), settings)
-    turning = np.exp(1j * signals.angle.angle(signals.time))
+    windows = [
+        _list_windows(signals, float(centre), float(speed), settings)
+        for centre, speed in zip(centres, speeds, strict=True)
+    ]
+    turning: Callable[[slice], np.ndarray] = signals.turning
+    if sum(2 * halves[-1] for halves in windows) > signals.time[-1] - signals.time[0]:
+        turning = partial(np.ndarray.__getitem__, signals.turning(slice(None)))  # they overlap: once for all
     degree = 6 if settings.degree is None else settings.degree
     degrees = (other_degree, degree, *[min(other_degree, degree)] * (settings.orders - 1))
-    fits = []
-    for centre, speed in zip(centres, speeds, strict=True):
-        halves = _list_windows(signals, float(centre), float(speed), settings)
-        fits.append(_choose(_fit_each(signals, turning, float(centre), halves, degrees)))
+    fits = [
+        _choose(_fit_each(signals, turning, float(centre), halves, degrees))
+        for centre, halves in zip(centres, windows, strict=True)
+    ]
     return np.array(fits), centres
 
 
@@ -185,13 +201,18 @@ def _list_windows(
 
 
 def _fit_each(
-    signals: Signals, turning: np.ndarray, centre: float, halves: list[float], degrees: Sequence[int]
+    signals: Signals,
+    turning: Callable[[slice], np.ndarray],
+    centre: float,
+    halves: list[float],
+    degrees: Sequence[int],
+    most: int = 1 << 16,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Vectors (P,) and their variance (P,) of the fit in each of the nested windows, ascending.
 
-    The sums of one are kept for the next.
+    The sums of one are kept for the next; they are made of so many samples at ``most`` together.
     """
-    time, values = signals.time, signals.values
+    time = signals.time
     begin = end = int(np.searchsorted(time, centre))
     gram: np.ndarray | float = 0.0
     right: np.ndarray | float = 0.0
@@ -202,17 +223,23 @@ def _fit_each(
         # A hair wider: a sample on the edge belongs to the window.
         wide = half * (1 + 1e-9)
         first, last = np.searchsorted(time, [centre - wide, centre + wide])
-        for side in (slice(first, begin), slice(end, last)):
-            columns = _make_columns(degrees, (time[side] - centre) / halves[-1], turning[side])
+        for side in (*_cut(first, begin, most), *_cut(end, last, most)):
+            values = signals.displacement(side)
+            columns = _make_columns(degrees, (time[side] - centre) / halves[-1], turning(side))
             gram = gram + columns @ columns.T
-            right = right + columns @ values[side]
-            squares = squares + (values[side].T @ values[side]).diagonal()
+            right = right + columns @ values
+            squares = squares + (values * values).sum(axis=0)
         begin, end = int(first), int(last)
         inverse = _invert(np.asarray(gram), signals.where)
         solution = inverse @ right
         freedom = max(end - begin - len(solution), 1)
         noise = np.maximum(squares - (solution * right).sum(axis=0), 0.0) / freedom
         yield solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b])
+
+
+def _cut(first: int, last: int, most: int) -> Iterator[slice]:
+    """What lies from ``first`` to ``last``, in pieces of so many at ``most``; at least one, which may be empty."""
+    return (slice(start, min(start + most, last)) for start in range(first, max(last, first + 1), most))
 
 
 def _invert(gram: np.ndarray, where: str, worst_condition: float = 1e6) -> np.ndarray:

@@ -58,8 +58,8 @@ def read_recording(
 ) -> tuple[np.ndarray, Channels]:
     """The times (n,) s, ascending, and the channels ``names`` of a file, (n,) each in its numbers.
 
-    The time is the channel ``time`` in its ``unit``, or comes from a ``rate`` in Hz, or from that in an ``attribute``
-    (MAT: a variable), or in the file.
+    Numbers that single precision holds exactly may come in it. The time is the channel ``time`` in its ``unit``, or
+    comes from a ``rate`` in Hz, or from that in an ``attribute`` (MAT: a variable), or in the file.
 
     Raises DataError: no such file or channel, a damaged or truncated file, no sample rate, NaN, channels of unequal
     length, times that do not ascend.
@@ -78,9 +78,11 @@ def read_recording(
             f"'{path.suffix}'"
         )
     count = check_channels(path, channels)
-    channels = {name: values.astype(float) for name, values in channels.items()}
+    # A long record in single precision, or of a converter's whole numbers, stays as short as it is.
+    for name, values in channels.items():
+        channels[name] = values.astype(np.float32 if np.can_cast(values.dtype, np.float32) else float, copy=False)
     if time:
-        return check_times(path, time, channels[time] * _SECONDS[unit or "s"]), channels
+        return check_times(path, time, channels[time].astype(float) * _SECONDS[unit or "s"]), channels
     if rate and stated and abs(rate / stated - 1) > 1e-6:
         raise DataError(
             f"'{path}' must have the sample rate of the configuration ({rate:g} Hz), but it says {stated:g} Hz: "
@@ -111,6 +113,8 @@ def check_channels(path: Path, channels: Mapping[str, np.ndarray], too_large: fl
         text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
         raise DataError(f"'{path}' must have as many samples in every channel, but it has {text}")
     for name, values in channels.items():
+        if values.size and max(-float(values.min()), float(values.max())) < too_large:
+            continue
         bad = np.flatnonzero(~(np.abs(values) < too_large))
         if len(bad):
             raise DataError(

@@ -216,16 +216,23 @@ def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return nominal, group
 
 
-def to_dataset(records: Records) -> VibrationDataset:
+def to_dataset(records: Records, most_places: int = 1_000_000, most_empty: float = 100.0) -> VibrationDataset:
     """The data set with a run for every record of a condition, called ``CONDITION.RECORD``.
 
     A condition need not have every record at every speed. Raises DataError for blank cells, for a record that is there
-    twice at a speed, and for a condition with two different weights.
+    twice at a speed, for a condition with two different weights, and where speeds and runs have more places than
+    ``most_places`` and than ``most_empty`` for each record: each would take memory.
     """
     _require_complete(records)
     nominal, group = find_speeds(records.speeds)
     names = [f"{c}.{r}" for c, r in zip(records.conditions, records.numbers, strict=True)]
     runs = tuple(dict.fromkeys(names))
+    if len(nominal) * len(runs) > max(most_places, most_empty * len(names)):
+        raise DataError(
+            f"{records.source} must have records that share speeds or runs, but its {len(names):,} records are of "
+            f"{len(runs):,} runs at {len(nominal):,} speeds: give repeated records of a condition the same names "
+            "(columns.record), or fewer records"
+        )
     place = {run: r for r, run in enumerate(runs)}
     at_run = np.array([place[name] for name in names])
     counts = np.zeros((len(nominal), len(runs)), dtype=int)

@@ -48,11 +48,11 @@ def find_pulses(
     Null: half way between the levels of the signal, and four tenths of what lies between them. Raises DataError, which
     begins with ``where``, for a signal without pulses.
     """
-    low, high = np.percentile(signal, [0.2, 99.8])
+    low, high = _find_levels(signal)
     if high <= low:
         low, high = float(signal.min()), float(signal.max())  # pulses that are shorter than that
-    level = 0.5 * (low + high) if threshold is None else threshold
-    band = 0.4 * (high - low) if hysteresis is None else hysteresis
+    level = np.float64(0.5 * (low + high) if threshold is None else threshold)
+    band = np.float64(0.4 * (high - low) if hysteresis is None else hysteresis)
     if not signal.min() < level < signal.max():
         raise DataError(
             f"{where} must have tacho pulses, but the signal stays between {signal.min():g} and {signal.max():g}"
@@ -61,22 +61,43 @@ def find_pulses(
         )
     if edge == "falling":
         signal, level = -signal, -level
-    state = np.where(signal >= level + band / 2, 1, np.where(signal <= level - band / 2, -1, 0))
-    known = np.flatnonzero(state)
-    arrivals = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
+    above = signal >= level + band / 2
+    arrivals = _find_ends(~above) + 1
+    # Between two arrivals the signal has been below: it has left that later than it was above.
+    was_below, was_above = (_find_last(state, arrivals) for state in (signal <= level - band / 2, above))
+    arrivals = arrivals[was_below > was_above]
     if not len(arrivals):
         raise DataError(
             f"{where} must have tacho pulses, but the signal never passes {abs(level):g} by half the hysteresis of "
             f"{band:g} on either side: check the channel, tacho.edge, tacho.threshold and tacho.hysteresis"
         )
-    under = np.flatnonzero(signal < level)
-    before = under[np.searchsorted(under, arrivals) - 1]  # the last sample under the threshold
-    share = (level - signal[before]) / (signal[before + 1] - signal[before])
+    before = _find_last(signal < level, arrivals)  # the last sample under the threshold
+    under, over = (signal[places].astype(float) for places in (before, before + 1))
+    share = (level - under) / (over - under)
     step = time[before + 1] - time[before]
     pulses = time[before] + share * step
     # An edge that is higher than what the interpolation sees of it lies anywhere between two samples.
-    sharp = np.median(signal[before + 1] - signal[before]) > 0.9 * (high - low)
+    sharp = np.median(over - under) > 0.9 * (high - low)
     return pulses, _find_locked_error(pulses, float(np.median(step))) if sharp else 0.0
+
+
+def _find_levels(signal: np.ndarray, percent: tuple[float, float] = (0.2, 99.8)) -> np.ndarray:
+    """What numpy.percentile gives, without a copy in double precision of a long signal."""
+    places = np.array(percent) / 100 * (len(signal) - 1)
+    around = np.stack([np.floor(places), np.ceil(places)]).astype(int)
+    below, above = np.partition(signal, around.ravel())[around].astype(float)
+    return np.asarray(below + places % 1 * (above - below))
+
+
+def _find_ends(state: np.ndarray) -> np.ndarray:
+    """The samples after which a ``state`` (n,) ends."""
+    return np.flatnonzero(state[:-1] & ~state[1:])
+
+
+def _find_last(state: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """The last sample in a ``state`` (n,) before each of the ``samples``, which are not in it; -1 for none."""
+    ends = np.append(-1, _find_ends(state))
+    return ends[np.searchsorted(ends, samples) - 1]
 
 
 def _find_locked_error(pulses: np.ndarray, step: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -42,7 +42,7 @@ class Loaded:
     """What a file of a run has, sampled together: the signals of the probes and of the tacho, and sentences on it."""
 
     time: np.ndarray  # (n,) s, ascending
-    signals: Mapping[str, np.ndarray]  # by probe, (n,) in the file's numbers
+    signals: dict[str, np.ndarray]  # by probe, (n,) in the file's numbers
     tacho: tuple[tuple[str, np.ndarray], ...]  # channel and (n,): of the marks, if there is one, and of the pulses
     pulses_per_revolution: int = 1
     notes: tuple[str, ...] = ()
@@ -286,9 +286,13 @@ def _read(config: SignalConfig, run: MeasuredRunConfig, path: Path) -> Signals:
     marks = pulses[0][0] if len(pulses) > 1 else None
     times, late = pulses[-1]
     angle = fit_angle(times, loaded.pulses_per_revolution, f"{where}, channel '{loaded.tacho[-1][0]}',", marks)
-    sizes = {name: to_motion(config.signal_unit or "", probe.scale)[1] for name, probe in config.probes.items()}
-    values = np.stack([loaded.signals[name] * size for name, size in sizes.items()], axis=1)
-    return Signals(loaded.time, values, angle, where, late, loaded.notes + tuple(note_clipping(where, loaded.signals)))
+    notes = loaded.notes + tuple(note_clipping(where, loaded.signals))
+    sizes = np.array([to_motion(config.signal_unit or "", probe.scale)[1] for probe in config.probes.values()])
+    # A long record is not held twice: a signal leaves when it is taken over.
+    values = np.empty((len(sizes), len(loaded.time)), np.result_type(*loaded.signals.values())).T
+    for p, name in enumerate(config.probes):
+        values[:, p] = loaded.signals.pop(name)
+    return Signals(loaded.time, values, angle, where, late, notes, sizes)
 
 
 def _make_tracks(config: SignalConfig, speeds: np.ndarray, vectors: np.ndarray, where: str) -> dict[str, Track]:

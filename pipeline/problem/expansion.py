@@ -117,14 +117,13 @@ def update_unknowns(data: Measurement, values: np.ndarray, measured: np.ndarray,
     for block in equations.films:
         response = respond(block, equations.change(table, block))
         impedance = table.impedance(block.frequencies)  # (B, S, 2, 2)
-        bearing = _product(impedance, response.bearings)
-        for i, run in enumerate(block.runs):
-            prior = (share * np.abs(bearing[:, :, i])) ** 2
-            gain = _gain(response.receptance_sensors, prior, data.deviation[:, :, run])
-            unknown = gain @ (measured[:, :, run] - response.sensors[:, :, i])[..., None]
-            motion = response.bearings[:, :, [i]] + response.receptance_bearings @ unknown
-            displacements[..., run] = motion[..., 0]
-            force[..., run] = (unknown - _product(impedance, motion))[..., 0]
+        prior = (share * np.abs(_product(impedance, response.bearings))) ** 2
+        deviation, apart = data.deviation[:, :, block.runs], measured[:, :, block.runs] - response.sensors
+        gain = _gain(response.receptance_sensors[:, None], prior.swapaxes(1, 2), deviation.swapaxes(1, 2))
+        unknown = gain @ apart.swapaxes(1, 2)[..., None]  # (S, R, 2 B, 1)
+        motion = response.bearings + (response.receptance_bearings[:, None] @ unknown)[..., 0].swapaxes(1, 2)
+        displacements[..., block.runs] = motion
+        force[..., block.runs] = unknown[..., 0].swapaxes(1, 2) - _product(impedance, motion)
     equations_at = bearing_equations_of(equations, force, displacements)
     return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
 
@@ -195,20 +194,20 @@ def _settle(
 
 
 def _gain(at_sensors: np.ndarray, prior: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """(S, 2 B, P) Kalman gain for forces of the variance ``prior`` (S, 2 B), seen through ``at_sensors`` (S, P, 2 B).
+    """(.., 2 B, P) Kalman gain for forces of variance ``prior`` (.., 2 B), seen through ``at_sensors`` (.., P, 2 B).
 
     ``P a' (a P a' + R)^-1 = (P^-1 + a' R^-1 a)^-1 a' R^-1``: the smaller of the two matrices is solved.
     """
-    adjoint = at_sensors.conj().swapaxes(1, 2)
-    n_channels, count = at_sensors.shape[1:]
+    adjoint = at_sensors.conj().swapaxes(-1, -2)
+    n_channels, count = at_sensors.shape[-2:]
     if n_channels < count:
-        spread = prior[:, :, None] * adjoint
+        spread = prior[..., None] * adjoint
         innovation = at_sensors @ spread
-        innovation[:, range(n_channels), range(n_channels)] += deviation**2
-        return np.asarray(np.linalg.solve(innovation, spread.conj().swapaxes(1, 2)).conj().swapaxes(1, 2))
-    weighted = adjoint / deviation[:, None] ** 2
+        innovation[..., range(n_channels), range(n_channels)] += deviation**2
+        return np.asarray(np.linalg.solve(innovation, spread.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2))
+    weighted = adjoint / deviation[..., None, :] ** 2
     information = weighted @ at_sensors
-    information[:, range(count), range(count)] += 1 / prior
+    information[..., range(count), range(count)] += 1 / prior
     return np.asarray(np.linalg.solve(information, weighted))
 
 

@@ -86,10 +86,17 @@ def _solved(
             right[:, translation_dof(node, 1), len(runs) + n] = -1j * w**2
         right[..., len(runs) + len(turning_planes) :] = loads
         response = solve(system, w, speeds, right, impedance, places.dof)
-        for i, run in enumerate(runs):
-            frequencies = dataset.frequencies[:, run]
-            if (frequencies != w).any():
-                response[..., [i]] = solve(system, frequencies, speeds, right[..., [i]], impedance, places.dof)
+        apart = np.flatnonzero((dataset.frequencies[:, runs] != w[:, None]).any(axis=0))
+        if len(apart):  # (S, r) systems of one right side each, as (S r,)
+            alone = solve(
+                system,
+                dataset.frequencies[:, runs[apart]].ravel(),
+                np.repeat(speeds, len(apart)),
+                right[..., apart].swapaxes(1, 2).reshape(-1, rotor.n_dof, 1),
+                np.repeat(impedance, len(apart), axis=1),
+                places.dof,
+            )
+            response[..., apart] = alone.reshape(len(speeds), len(apart), -1).swapaxes(1, 2)
         yield runs, w, len(turning_planes), response
 
 

@@ -85,6 +85,10 @@ def test_blank_weights_are_kept_for_who_asks_for_them(tmp_path: Path) -> None:
         (ROWS + "trial,2,1001,0,31,1,2,0,0.5\ntrial,2,1200,0,31,1,2,0,0.5\n", "same weights in all records"),
         (ROWS.replace(",1000,", ",-1000,"), "speeds above zero"),
         (ROWS.replace("0.1,0.2", ",0.2"), "the vector of every probe"),
+        (
+            "".join(f"x,{i},{1000 + i},0,30,1,2,0,0\n" for i in range(1001)),
+            "1,001 records are of 1,001 runs at 1,001 sp",
+        ),
     ],
 )
 def test_mistakes_in_the_table(tmp_path: Path, rows: str, law: str) -> None:
