@@ -2,8 +2,9 @@
 
 Each choice of a family for every bearing (:mod:`pipeline.laws.population`) is a prior of functions of the one problem.
 For each, the problem is solved from the prior's mean and from draws, with readings that count little at first; in
-coordinates in which the prior has unit variance. Choices count by their evidence (Laplace's approximation), with the
-noise as large as the best of them leaves it. Where several are likely, what they differ by is part of the covariance.
+coordinates in which the prior has unit variance. Choices count by their evidence (Laplace's approximation, in which the
+volume counts in half), with the noise as large as the best of them leaves it. Where several are likely, what they
+differ by is part of the covariance.
 
 Legend: G choices and starts, B bearings, K nodes, A active unknowns, Z weights, Y numbers of unit variance.
 """
@@ -151,8 +152,7 @@ class Whitened(LeastSquares):
 
         gradient, matrix = self.problem.normal(self.weights(y))
         prior = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)  # one for numbers of the choices
-        information = self.carry(self.carry(matrix[:, 0]).mT)[:, None]
-        return self.carry(gradient) + prior * y, information + torch.diag(prior)
+        return self.carry(gradient) + prior * y, self.carry(self.carry(matrix[:, 0]).mT)[:, None] + torch.diag(prior)
 
     def level(self, squared: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""
@@ -168,12 +168,17 @@ class Whitened(LeastSquares):
         section = LevenbergMarquardtConfig(steps=steps, patience=1, initial_damping=1e-3)
         return levenberg_marquardt(self, y, section, until_still(still), by_diagonal=True)
 
-    def evidence(self, y: torch.Tensor) -> torch.Tensor:
-        """(G,) logarithm of the evidence about minima, up to a constant; minus infinity where there is none."""
+    def evidence(self, y: torch.Tensor, counted: float = 0.5) -> torch.Tensor:
+        """(G,) logarithm of the evidence about minima, up to a constant; minus infinity where there is none.
+
+        A family's evidence falls with the width of its prior, which was chosen, not measured: counted in full, narrow
+        families win that explain less. The posterior at its peak knows no width, and favours families that say nothing.
+        So the volume about the peak is ``counted`` in half, which is the geometric mean of both (studies/ordinary).
+        """
         import torch
 
-        curvature = torch.linalg.slogdet(self.normal(y)[1][:, 0])[1]
-        evidence: torch.Tensor = -(self.rows(y).square().sum(-1)[:, 0] + curvature) / 2
+        volume = torch.linalg.slogdet(self.normal(y)[1][:, 0])[1]
+        evidence: torch.Tensor = -(self.rows(y).square().sum(-1)[:, 0] + counted * volume) / 2
         return evidence.nan_to_num(-float("inf"), neginf=-float("inf"))
 
 
@@ -229,6 +234,7 @@ def search(
     lifted = torch.zeros(len(y), 1, whitened.size, dtype=y.dtype)
     lifted[..., torch.cat([main, kept_rest, parameters])] = y
     explained = _noise(whitened, lifted)
+    lifted = whitened.minimise(lifted, 1e-2, steps=8)  # evidence is that of minima
     problem, whitened, y = _settle(problem, whitened, lifted, kept, most_exact)
     if explained < coarse:  # the simpler problem could not tell which choices to drop
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
@@ -291,19 +297,20 @@ def look_beside(
     turns: int = 5,
 ) -> tuple[OutputError, Whitened, torch.Tensor, torch.Tensor]:
     """The ``problem``, the likeliest minima and their evidence, once no choice is likelier that differs from the best
-    at one bearing: the simpler problem may have dropped it.
+    at one bearing: the simpler problem may have dropped it. The rotor is solved at the best.
     """
     whitened, y, evidence = _rank(whitened, y, kept)
     for _ in range(turns):
         best = whitened.choices.families[0]
         if not (beside := choices.beside(best)).families:
             break
-        whitened, y, evidence = _rank(*_take_up(whitened, beside, y), kept)
+        whitened, y, _ = _rank(*_take_up(whitened, beside, y), kept)
+        whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-4, steps=40), kept)
         if whitened.choices.families[0] == best:
             break
         problem, whitened, y = _settle(problem, whitened, y, kept, most_exact)
         whitened, y, evidence = _rank(whitened, y, kept)
-    return problem, whitened, y, evidence
+    return problem.update(whitened.weights(y)[:1]), whitened, y, evidence
 
 
 def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:
@@ -363,7 +370,8 @@ def _rank(
     evidence, families = whitened.evidence(y), whitened.choices.families
     order: list[int] = []
     for i in evidence.argsort(descending=True, stable=True).tolist():
-        if all(families[i] != families[j] or abs(float(evidence[i] - evidence[j])) > equal for j in order):
+        if len(order) < most and all(
+            families[i] != families[j] or abs(float(evidence[i] - evidence[j])) > equal for j in order
+        ):
             order.append(i)
-    order = order[:most]
     return replace(whitened, choices=whitened.choices.select(order)), y[order], evidence[order]
