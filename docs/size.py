@@ -20,42 +20,42 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1670,
+    "config": 1667,
     "laws": 482,
     "rotor": 734,
-    "data": 1051,
-    "parameters": 427,
+    "data": 1053,
+    "parameters": 434,
     "sweep": 246,
-    "ingest": 1479,
-    "problem": 1507,
-    "identification": 2865,
+    "ingest": 1509,
+    "problem": 1499,
+    "identification": 2824,
     "evaluation": 216,
-    "twin": 467,
-    "balance": 674,
+    "twin": 466,
+    "balance": 673,
     "trust": 631,
     "export": 190,
     "methods": 554,
     "comparison": 116,
     "tuning": 489,
-    "reporting": 2488,
+    "reporting": 2474,
     "tracking": 351,
-    "stages": 1122,
-    "beside the rooms": 569,
+    "stages": 1121,
+    "beside the rooms": 572,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
     "statements of pipeline/": (18301, 14500),
-    "files": (240, 250),
-    "classes": (319, 260),
-    "is None, is not None": (336, 420),
+    "files": (247, 250),
+    "classes": (322, 260),
+    "is None, is not None": (334, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
-    "bindings named by empty words": (119, 200),
+    "bindings named by empty words": (117, 200),
     "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (735, 380),
-    "their files": (106, 75),
+    "their files": (112, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
 

@@ -154,8 +154,7 @@ def test_one_fit_serves_both_peers(rig: SmallRig, setup: FitSetup, monkeypatch: 
     monkeypatch.setattr(module, "fit_physical", counted)
     plain = replace(rig.template, parameters=())
     peers, train, elsewhere = physical_peers(plain, setup, 0.01), rig.conditions, np.array([125.0])
-    physical = peers["physical"](train, train.speeds)
-    assert peers["blend"](train, train.speeds).physical is physical
+    assert peers["blend"](train, train.speeds).physical is peers["physical"](train, train.speeds)
     assert peers["physical"](train, elsewhere).predict(loads())[0].shape == (5, len(CHANNELS))
     assert len(calls) == 1
     with pytest.raises(IdentifiabilityError, match="the physical model alone"):

@@ -28,8 +28,7 @@ def config_of(folder: Path, *overrides: str) -> Config:
 
 def test_the_files_and_the_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_stage(config_of(tmp_path, "stage=ingest"))
-    said = capsys.readouterr().out
-    assert_says(said, "204 records of 68 conditions at 2 speeds, 4 probes", "angle a phase lag")
+    assert_says(capsys.readouterr().out, "204 records of 68 conditions at 2 speeds, 4 probes", "angle a phase lag")
     summary = strict_json(tmp_path / "ingest.json")
     assert (summary["records"], summary["conditions"], summary["nodes"]) == (204, 68, [6, 22])
     assert "modelled_coefficients.csv" not in names_in(tmp_path)
