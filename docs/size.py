@@ -32,7 +32,7 @@ STATEMENTS = {
     "evaluation": 216,
     "twin": 466,
     "balance": 673,
-    "trust": 631,
+    "trust": 649,
     "export": 190,
     "methods": 554,
     "comparison": 116,
@@ -45,7 +45,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18301, 14500),
+    "statements of pipeline/": (18319, 14500),
     "files": (247, 250),
     "classes": (322, 260),
     "is None, is not None": (334, 420),

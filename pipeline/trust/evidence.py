@@ -45,6 +45,7 @@ class Evidence:
     predicted: Mapping[str, float]  # run -> mean square error predicted from the other runs, over the noise
     superposed: Mapping[str, float]  # run -> mean square error by superposition of the others, over the noise
     priors: Mapping[str, float]  # model parameter -> value after the fit, in prior deviations
+    departures: Mapping[str, float]  # coefficient -> how far it came from what known_within states, in its deviations
     growth: Growth
     outcome: str  # of the training
 
@@ -107,9 +108,24 @@ def gather(
         priors=dict(
             zip((p.name for p in measurement.parameters), map(float, uncertainty.parameters.tolist()), strict=True)
         ),
+        departures=find_departures(measurement, identified, answer),
         growth=find_growth(measurement, answer, identified, uncertainty),
         outcome=outcome,
     ), linear
+
+
+def find_departures(measurement: Measurement, identified: IdentifiedModel, answer: BearingTable) -> dict[str, float]:
+    """How far each coefficient came from what ``known_within`` states, in its deviations: by the mean over the speeds,
+    as :attr:`OutputError.prior` counts it. Empty where it states nothing of the outputs.
+    """
+    guess, unknowns = measurement.guess, measurement.unknowns
+    if not guess.within or measurement.laws or identified.model.parametrisation == "impedance":
+        return {}
+    over = unknowns.leading(answer.values) / guess.sizes(unknowns)[:, None]
+    logarithms = np.log(np.maximum(np.abs(over), np.finfo(float).tiny)) / np.log(guess.within)
+    off = np.where(identified.model.positive, logarithms, over / guess.within).mean(axis=1)
+    nodes, names = measurement.rotor.bearing_nodes, unknowns.names
+    return {f"{names[u]} at node {nodes[m]}": float(off[m, u]) for m, u in unknowns.active}
 
 
 def find_growth(

@@ -156,7 +156,7 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
             )
         )
     reasons += judge_contradiction(evidence.misfit.contradiction)
-    return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence)]
+    return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence), *_judge_known(evidence)]
 
 
 def _judge_runs(evidence: Evidence) -> list[Reason]:
@@ -203,6 +203,19 @@ def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
     )
     cure = "Look for what differs between the runs or is not in the model: bearings that drift, a support, a coupling."
     return [Reason(Verdict.NO, together, cure)]
+
+
+def _judge_known(evidence: Evidence, most: float = 4.0) -> list[Reason]:
+    """Whether the readings pull a coefficient ``most`` deviations from what was stated of its size: what was stated
+    then bends the others, with bands as if it were right.
+    """
+    far = {name: abs(off) for name, off in evidence.departures.items() if abs(off) > most}
+    if not far:
+        return []
+    name = rank(far)[0]
+    reason = f"{name} came {far[name]:.0f} times as far from known_stiffness or known_damping as known_within allows"
+    cure = "State a size that may be right in identify.known_stiffness and known_damping, or a larger known_within."
+    return [Reason(Verdict.NO, f"{reason}, which bends the fit.", cure)]
 
 
 def judge_coefficient(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, cast
 
 import numpy as np
@@ -41,6 +42,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "predicted": {"a": 1.0, "b": 1.0},
         "superposed": {"a": 1.0, "b": 1.0},
         "priors": {},
+        "departures": {},
         "growth": Growth(-1.0, 0.1, None),
         "outcome": "converged",
     }
@@ -103,13 +105,23 @@ def test_a_growth_within_its_deviation_turns_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("moves", "verdict"), [((1.0, 2.0), "good"), ((2.5, 0.0), "with care"), ((5.9, 3.9, 3.2, 3.9), "no")]
+    ("stated", "moves", "verdict"),
+    [
+        ("priors", (1.0, 2.0), "good"),
+        ("priors", (2.5, 0.0), "with care"),
+        ("priors", (5.9, 3.9, 3.2, 3.9), "no"),
+        ("departures", (3.9, -1.0), "good"),
+        ("departures", (0.3, -47.0), "no"),
+    ],
 )
 def test_numbers_that_moved_beyond_their_tolerances_speak_against_the_model(
-    moves: tuple[float, ...], verdict: str
+    stated: str, moves: tuple[float, ...], verdict: str
 ) -> None:
-    judged = record(gathered(priors={f"probe_gain {i}": move for i, move in enumerate(moves)}))["machine"]
-    assert (judged["verdict"], "the model lacks something" in judged["reason"]) == (verdict, verdict == "no")
+    judged = record(gathered(**{stated: {f"probe_gain {i}": move for i, move in enumerate(moves)}}))["machine"]
+    assert (judged["verdict"], bool(re.search("model lacks something|47 times as far", judged["reason"]))) == (
+        verdict,
+        verdict == "no",
+    )
 
 
 def test_a_run_is_blamed_where_sums_of_runs_object() -> None:
