@@ -20,13 +20,13 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1667,
+    "config": 1669,
     "laws": 482,
     "rotor": 734,
     "data": 1053,
     "parameters": 434,
     "sweep": 246,
-    "ingest": 1509,
+    "ingest": 1504,
     "problem": 1499,
     "identification": 2824,
     "evaluation": 216,
@@ -45,7 +45,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18319, 14500),
+    "statements of pipeline/": (18316, 14500),
     "files": (247, 250),
     "classes": (322, 260),
     "is None, is not None": (334, 420),

@@ -85,8 +85,11 @@ def get_value(config: Config, key: str) -> Any:
 
 def has_value(config: Config, key: str) -> bool:
     """Tell whether the configuration has the dotted key: a model of another kind has others."""
-    section, _, name = key.rpartition(".")
-    return hasattr(attrgetter(section)(config), name)
+    try:
+        get_value(config, key)
+    except ConfigError:
+        return False
+    return True
 
 
 def read_promoted(folder: Path) -> PromotedTrial | None:

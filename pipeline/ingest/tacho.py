@@ -48,7 +48,7 @@ def find_pulses(
     Null: half way between the levels of the signal, and four tenths of what lies between them. Raises DataError, which
     begins with ``where``, for a signal without pulses.
     """
-    low, high = _find_levels(signal)
+    low, high = np.percentile(signal, [0.2, 99.8])
     if high <= low:
         low, high = float(signal.min()), float(signal.max())  # pulses that are shorter than that
     level = np.float64(0.5 * (low + high) if threshold is None else threshold)
@@ -79,14 +79,6 @@ def find_pulses(
     # An edge that is higher than what the interpolation sees of it lies anywhere between two samples.
     sharp = np.median(over - under) > 0.9 * (high - low)
     return pulses, _find_locked_error(pulses, float(np.median(step))) if sharp else 0.0
-
-
-def _find_levels(signal: np.ndarray, percent: tuple[float, float] = (0.2, 99.8)) -> np.ndarray:
-    """What numpy.percentile gives, without a copy in double precision of a long signal."""
-    places = np.array(percent) / 100 * (len(signal) - 1)
-    around = np.stack([np.floor(places), np.ceil(places)]).astype(int)
-    below, above = np.partition(signal, around.ravel())[around].astype(float)
-    return np.asarray(below + places % 1 * (above - below))
 
 
 def _find_ends(state: np.ndarray) -> np.ndarray:

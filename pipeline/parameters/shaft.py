@@ -25,7 +25,7 @@ def _change_modulus(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str
 
 
 def _change_disc(parameter: ModelParameter, rotor: RotorModel, first: int, last: int) -> Mapping[str, np.ndarray]:
-    """Of its node's DOF those from ``first`` on, up to ``last``."""
+    """What the disc adds to its node's DOF from ``first`` on, up to ``last``."""
     start, kept = translation_dof(parameter.place, 0), np.zeros_like(rotor.mass)
     dof = slice(start + first, start + last)
     kept[dof, dof] = parameter.deviation

@@ -252,13 +252,7 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
     bearings = _leave_theory(bearings, trouble.get("off_theory", 0.0), np.random.default_rng([seed, 14]))
     rotor = load_rotor(config.machine.rotor) if built is None else build_rotor(config.machine.rotor, built)
     felt = bearings if built is None else stand_on_pedestals(bearings, built)
-    acting: dict[str, list[Excitation]] = {run["name"]: [] for run in drawn.stated["runs"]}
-    for run in config.machine.runs:
-        acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
-        acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
-    places = np.random.default_rng([seed, 13]).integers(rotor.n_nodes, size=len(drawn.residual)).tolist()
-    residual = [(node, float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
-                for node, r in zip(places, drawn.residual, strict=True)]  # fmt: skip
+    acting, residual = list_excitations(drawn, config, rotor.n_nodes, seed)
     seen, stated = [], []
     weight, misplaced = trouble.get("weight", (0.0, 0.0)), np.random.default_rng([seed, 15])
     for name, excitations in acting.items():
@@ -289,6 +283,20 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
         steps[s] = correlation * steps[s - 1] + np.sqrt(1 - correlation**2) * steps[s]
     deviation = np.sqrt(drawn.floor**2 + (noise * np.abs(exact)) ** 2)
     return replace(data, displacement=exact + deviation * steps), felt
+
+
+def list_excitations(
+    drawn: Drawn, config: Config, n_nodes: int, seed: int
+) -> tuple[dict[str, list[Excitation]], list[tuple[int, float, float]]]:
+    """What is stated of each run; node, size (kg m) and phase of what acts in all of them and nobody knows."""
+    acting: dict[str, list[Excitation]] = {run["name"]: [] for run in drawn.stated["runs"]}
+    for run in config.machine.runs:
+        acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
+        acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
+    places = np.random.default_rng([seed, 13]).integers(n_nodes, size=len(drawn.residual)).tolist()
+    residual = [(node, float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
+                for node, r in zip(places, drawn.residual, strict=True)]  # fmt: skip
+    return acting, residual
 
 
 def _leave_theory(bearings: BearingTable, share: float, generator: np.random.Generator) -> BearingTable:

@@ -47,6 +47,11 @@ CASES: dict[str, tuple[str, float, str]] = {
     **{trouble: ("0.05 um", 0.01, trouble) for trouble in TROUBLE if trouble != "none"},
 }
 """Name -> the floor of a reading, its share, and what is silently wrong."""
+PLACEHOLDER = {
+    "kind": "cylindrical", "journal_diameter": "60 mm", "length": "30 mm",
+    "radial_clearance": "0.08 mm", "oil_viscosity": "0.05 Pa s",
+}  # fmt: skip
+"""As `stage=new` writes it: which film it is, or none, nobody says."""
 DIRECT = ("kxx", "kyy", "cxx", "cyy")
 
 
@@ -58,11 +63,7 @@ def write_user_files(folder: Path, drawn: Drawn, noise: float, seed: int) -> Bea
     write_excitation(folder / "excitation.csv", data)
     stated = {key: value for key, value in drawn.stated.items() if key not in ("probes", "runs")}
     stated["runs"] = [run for run in drawn.stated["runs"] if len(run) > 1]
-    # Placeholders, as `stage=new` writes them: which film it is, or none, nobody says.
-    stated["bearings"] = {
-        "kind": "cylindrical", "journal_diameter": "60 mm", "length": "30 mm",
-        "radial_clearance": "0.08 mm", "oil_viscosity": "0.05 Pa s",
-    }  # fmt: skip
+    stated["bearings"] = PLACEHOLDER
     stated["data"] = {"vibration": "vibration.csv", "excitation": "excitation.csv", "baseline": "as_found"}
     (folder / "machine.yaml").write_text(yaml.safe_dump(stated, sort_keys=False), encoding="utf-8")
     return felt

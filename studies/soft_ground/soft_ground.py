@@ -31,8 +31,8 @@ import yaml
 ORDINARY = Path(__file__).parents[1] / "ordinary"
 sys.path.insert(0, str(ORDINARY))
 
-from draw import Drawn, compose_real, draw_machine  # noqa: E402
-from ordinary import identify, judge, summarize  # noqa: E402
+from draw import Drawn, compose_real, draw_machine, list_excitations  # noqa: E402
+from ordinary import PLACEHOLDER, identify, judge, summarize  # noqa: E402
 
 from pipeline.config.rotor import RotorConfig  # noqa: E402
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset  # noqa: E402
@@ -98,16 +98,8 @@ def _rotor(machine: Grounded) -> RotorConfig:
 def measure(machine: Grounded, seed: int) -> VibrationDataset:
     """What the probes at both shafts and casings read in every run; the first has no weight."""
     generator = np.random.default_rng([seed, 32])
-    rotor, drawn, config = load_rotor(_rotor(machine)), machine.drawn, compose_real(machine.drawn)
-    acting: dict[str, list[Excitation]] = {run["name"]: [] for run in drawn.stated["runs"]}
-    for run in config.machine.runs:
-        acting[run.name] += [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
-        acting[run.name] += [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
-    places = np.random.default_rng([seed, 13]).integers(rotor.n_nodes, size=len(drawn.residual)).tolist()
-    residual = [
-        (node, float(r["magnitude"].split()[0]) * 1e-6, np.radians(float(r["phase"].split()[0])))
-        for node, r in zip(places, drawn.residual, strict=True)
-    ]
+    rotor, drawn = load_rotor(_rotor(machine)), machine.drawn
+    acting, residual = list_excitations(drawn, compose_real(drawn), rotor.n_nodes, seed)
     seen = [
         simulate(rotor, machine.bearings, (*own, *(Excitation(name, "unbalance", *u) for u in residual)))
         for name, own in acting.items()
@@ -134,10 +126,7 @@ def write_user_files(folder: Path, machine: Grounded, seed: int, case: str) -> N
     stated = {key: value for key, value in machine.drawn.stated.items() if key not in ("probes", "runs")}
     stated["rotor"] = stated["rotor"] | {"supports": machine.stated}
     stated["runs"] = [run for run in machine.drawn.stated["runs"] if len(run) > 1]
-    stated["bearings"] = {
-        "kind": "cylindrical", "journal_diameter": "60 mm", "length": "30 mm",
-        "radial_clearance": "0.08 mm", "oil_viscosity": "0.05 Pa s",
-    }  # fmt: skip
+    stated["bearings"] = PLACEHOLDER
     stated["data"] = {"vibration": "vibration.csv", "excitation": "excitation.csv", "baseline": "as_found"}
     (folder / "machine.yaml").write_text(yaml.safe_dump(stated, sort_keys=False), encoding="utf-8")
 
