@@ -84,12 +84,12 @@ def _data_sets(times: float) -> Action:
 def _fit(change: Callable[[VibrationDataset], VibrationDataset], *overrides: str) -> Action:
     """A fit from the data to the bands."""
     from pipeline.identification.answer import conclude
-    from pipeline.identification.fit import fit_sensors
+    from pipeline.identification.output_error_fit import fit_output_error
     from pipeline.identification.training import setup_of
 
     made = machine(f"experiment={_EXPERIMENT}", *overrides)
     data = change(_noisy(made.dataset))
-    return lambda: conclude(fit_sensors(made.measured(data, made.config), setup_of(made.config)))
+    return lambda: conclude(fit_output_error(made.measured(data, made.config), setup_of(made.config)))
 
 
 def _noisy(data: VibrationDataset, share: float = 0.01) -> VibrationDataset:

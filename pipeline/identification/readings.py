@@ -276,7 +276,7 @@ class SensorModel:
 
     @cached_property
     def _softening(self) -> tuple[torch.Tensor, ...]:
-        """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.parameters.model.softening` has them."""
+        """(8 B,) N/m, (8 B, T) and (R, S, 8 B, T), as :func:`pipeline.parameters.ground.softening` has them."""
         import torch
 
         every = softening(self.measurement.parameters, self.measurement.rotor, self.whole.dataset)
