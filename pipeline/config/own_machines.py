@@ -135,7 +135,10 @@ def _read_yaml(path: Path, what: str, most: int = 100_000) -> dict[str, Any]:
     except yaml.YAMLError as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}: {problem}" if mark else " ".join(str(error).split())
-        raise ConfigError(f"{what} must be YAML, but '{path}' is not: {place}") from None
+        raise ConfigError(
+            f"{what} must be YAML, but '{path}' is not: {place}; a text with brackets, a comma or a colon (a column's "
+            "name) must stand in quotes"
+        ) from None
     except AssertionError:  # a number
         read = None
     except (OmegaConfBaseException, ValueError, RecursionError) as error:

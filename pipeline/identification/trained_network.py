@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pipeline.identification.blocks import Basis, Prior
+from pipeline.identification.inputs import evaluate_functions
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
@@ -152,6 +153,7 @@ def train_from_nodes(
     *,
     hold: float = 1e-4,
     points_a_node: int = 8,
+    between: float = 0.01,
     steep: float = 3.0,
     still: float = 3e-4,
     patience: int = 5,
@@ -160,7 +162,9 @@ def train_from_nodes(
 
     Args:
         hold: information on each weight about its start, so that none is free.
-        points_a_node: at so many times as many places the start follows the answer.
+        points_a_node: at so many times as many places the start follows the answer, and networks follow the spline.
+        between: deviation of networks from the spline through their values at the nodes, of a coefficient. The prior
+            knows nodes alone: free between them, networks follow the noise of few speeds there.
         steep: a hidden unit bends within a third of what it does in a network of its own, about two of fourteen nodes.
             Wider ones can't follow bearings whose coefficients wander from node to node: on one of them training
             stopped at twice the chi-square of the nodes. Units twice as steep follow the noise between nodes.
@@ -171,26 +175,40 @@ def train_from_nodes(
 
     problem, spline = fit.problem, fit.problem.basis.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
-    over, rest = _spread(points_a_node * spline.n_functions), fit.weights[..., problem.places.n_coefficients :]
+    over, rest = _spread(points_a_node * (spline.n_functions - 1) + 1), fit.weights[..., problem.places.n_coefficients :]
     guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)
     start = start_networks(
         model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest, steep
     )
     n_of_networks = start.shape[-1] - rest.shape[-1]
     inputs, known = model.scaled_inputs(problem.measurement.dataset.points), _hold(start[0, 0], n_of_networks, hold)
-    training = pose_networks(problem, model, known, inputs, _spread(spline.n_functions))
+    functions = _hold_between(problem.functions, spline.n_functions, points_a_node, between)
+    training = pose_networks(replace(problem, functions=functions), model, known, inputs, over)
     minimum = minimise(training, start, setup.ending(patience, still), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
     weights = fit.weights.clone()
     weights[..., : problem.places.n_coefficients] = 0.0  # deviations from the networks
     weights[..., problem.places.n_coefficients :] = minimum.parameters[..., n_of_networks:]
-    functions = Prior(problem.functions.rows, -training.deviate(minimum.parameters)[0])
+    functions = Prior(problem.functions.rows, -training.deviate(minimum.parameters)[0, : len(problem.functions)])
     return replace(
         fit,
         start=replace(fit.start, held_out={name: _pose(other, basis) for name, other in fit.start.held_out.items()}),
         problem=replace(_pose(problem, basis), functions=functions).update(weights),
         minimum=replace(minimum.after(fit.minimum), parameters=weights),
     )
+
+
+def _hold_between(functions: Prior, count: int, points_a_node: int, deviation: float) -> Prior:
+    """The prior of values at ``count`` nodes as one of values at so many places a node, which deviate from the spline
+    through those at the nodes."""
+    import torch
+
+    places = _spread(points_a_node * (count - 1) + 1)
+    every = torch.eye(len(places), dtype=places.dtype)
+    off = every - torch.as_tensor(evaluate_functions("nodes", count, places[:, 0].numpy())) @ every[::points_a_node]
+    outputs = torch.eye(functions.rows.shape[1] // count, dtype=places.dtype)
+    rows = [functions.rows @ torch.kron(outputs, every[::points_a_node]), torch.kron(outputs, off / deviation)]
+    return Prior(torch.cat(rows), torch.nn.functional.pad(functions.aims, (0, len(rows[1]))))
 
 
 def _spread(count: int) -> torch.Tensor:
