@@ -175,14 +175,17 @@ def train_from_nodes(
 
     problem, spline = fit.problem, fit.problem.basis.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
-    over, rest = _spread(points_a_node * (spline.n_functions - 1) + 1), fit.weights[..., problem.places.n_coefficients :]
+    over, rest = (
+        _spread(points_a_node * (spline.n_functions - 1) + 1),
+        fit.weights[..., problem.places.n_coefficients :],
+    )
     guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)
     start = start_networks(
         model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest, steep
     )
     n_of_networks = start.shape[-1] - rest.shape[-1]
     inputs, known = model.scaled_inputs(problem.measurement.dataset.points), _hold(start[0, 0], n_of_networks, hold)
-    functions = _hold_between(problem.functions, spline.n_functions, points_a_node, between)
+    functions = hold_between(problem.functions, spline.n_functions, points_a_node, between)
     training = pose_networks(replace(problem, functions=functions), model, known, inputs, over)
     minimum = minimise(training, start, setup.ending(patience, still), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
@@ -198,7 +201,7 @@ def train_from_nodes(
     )
 
 
-def _hold_between(functions: Prior, count: int, points_a_node: int, deviation: float) -> Prior:
+def hold_between(functions: Prior, count: int, points_a_node: int, deviation: float) -> Prior:
     """The prior of values at ``count`` nodes as one of values at so many places a node, which deviate from the spline
     through those at the nodes."""
     import torch

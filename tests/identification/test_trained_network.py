@@ -21,7 +21,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_from
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.trained_fit import TrainedFit, train_hidden
-from pipeline.identification.trained_network import pose_networks, start_networks
+from pipeline.identification.trained_network import hold_between, pose_networks, start_networks
 from pipeline.identification.training import FitSetup, setup_of
 from pipeline.impedance import PLACES
 from pipeline.laws.population import make_priors
@@ -165,3 +165,16 @@ def test_a_network_starts_where_the_nodes_are(family: str) -> None:
         steep=3.0,
     )
     assert float((model.raw(start, over)[0, 0] - wanted).square().mean(0).sqrt().max()) < 5e-3
+
+
+def test_between_the_nodes_networks_are_held_to_the_spline() -> None:
+    """On it the prior is that of the nodes; a value beside it deviates by what is allowed, in units of that."""
+    import torch
+
+    rng = np.random.default_rng(0)
+    prior, nodes = Prior(*map(torch.as_tensor, (rng.standard_normal((3, 10)), np.ones(3)))), rng.standard_normal((2, 5))
+    values = torch.as_tensor(CubicSpline(np.linspace(-1, 1, 5), nodes, axis=1)(np.linspace(-1, 1, 17)))
+    held, at_nodes = hold_between(prior, 5, 4, 0.01), prior.deviations(torch.as_tensor(nodes).flatten())
+    assert torch.allclose(held.deviations(values.flatten()), torch.nn.functional.pad(at_nodes, (0, 34)))
+    values[1, 6] += 0.01
+    assert float(held.deviations(values.flatten())[3 + 17 + 6]) == pytest.approx(1.0)
