@@ -61,9 +61,10 @@ def _combine(
         matrix = white.matrix[m][..., present] * scale[m, present]
         weight = np.ones(matrix.shape[:2])
         for _ in range(rounds):
-            rows = np.einsum("sru,sk->sruk", matrix * weight[..., None], features[m])
-            flat = rows.reshape(-1, rows.shape[2] * rows.shape[3])
-            solution = np.linalg.lstsq(flat, -(white.offset[m] * weight).ravel(), rcond=1e-10)[0]
+            # Orthogonal at each speed: as many rows as unknowns are left of it, whatever the number of runs.
+            few = np.linalg.qr(np.dstack([matrix, white.offset[m]]) * weight[..., None], mode="r")
+            rows = np.einsum("sru,sk->sruk", few[..., :-1], features[m])
+            solution = np.linalg.lstsq(rows.reshape(few[..., -1].size, -1), -few[..., -1].ravel(), rcond=1e-10)[0]
             outputs = features[m] @ solution.reshape(rows.shape[2], rows.shape[3]).T
             rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
             # A normal value's median modulus is 0.6745 of its deviation.

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -63,9 +64,10 @@ class Signals:
 
 def _make_columns(degrees: Sequence[int], x: np.ndarray, turning: np.ndarray) -> np.ndarray:
     """(columns, n) of the fit: polynomials of these ``degrees`` for DC, 1X, 2X .., ``turning`` (n,) = e^{j phi}."""
-    powers = np.cumprod([np.ones_like(x), *[x] * max(degrees)], axis=0)
-    parts = [powers[: degrees[0] + 1]]
-    harmonic = np.ones_like(turning)
+    powers = np.ones((1 + max(degrees), len(x)))
+    for before, power in pairwise(powers):
+        np.multiply(before, x, out=power)
+    parts, harmonic = [powers[: degrees[0] + 1]], np.ones_like(turning)
     for degree in degrees[1:]:
         harmonic = harmonic * turning
         parts += [component * powers[: degree + 1] for component in (harmonic.real.copy(), harmonic.imag.copy())]
