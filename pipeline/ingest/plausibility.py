@@ -71,20 +71,23 @@ def require_clearance(dataset: VibrationDataset, stated: Mapping[int, Mapping[st
 
 def note_whirl(dataset: VibrationDataset) -> list[str]:
     """A sentence for each run of unbalances whose orbits turn backward at most speeds: an unbalance turns forward."""
-    notes, orbits = [], np.array([*dataset.orbits.values()]).reshape(-1, len(dataset.speeds), 2, len(dataset.runs))
+    return [
+        f"the orbits of run '{run}' turn backward at {100 * share:.0f} % of speeds and nodes, and an "
+        "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
+        "probes' angles"
+        for run, share in measure_backward(dataset).items()
+        if share > 0.5
+    ]
+
+
+def measure_backward(dataset: VibrationDataset) -> dict[str, float]:
+    """The share of speeds and nodes at which the orbits of each run of unbalances turn backward."""
+    shares, orbits = {}, np.array([*dataset.orbits.values()]).reshape(-1, len(dataset.speeds), 2, len(dataset.runs))
     for r, run in enumerate(dataset.runs):
-        kinds = {excitation.kind for excitation in dataset.excitations if excitation.run == run}
-        if kinds != {"unbalance"}:
-            continue
         x, y = orbits[..., r].transpose(2, 0, 1)
-        backward = np.abs(x - 1j * y) > np.abs(x + 1j * y)
-        if backward.sum() > 0.5 * backward.size:
-            notes.append(
-                f"the orbits of run '{run}' turn backward at {100 * backward.mean():.0f} % of speeds and nodes, and an "
-                "unbalance turns the shaft forward, from x to y: check the sense of the phase (lag or lead) and the "
-                "probes' angles"
-            )
-    return notes
+        if {excitation.kind for excitation in dataset.excitation_of(r)} == {"unbalance"} and x.size:
+            shares[run] = float((np.abs(x - 1j * y) > np.abs(x + 1j * y)).mean())
+    return shares
 
 
 def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:

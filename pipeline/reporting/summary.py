@@ -51,7 +51,7 @@ _MOST_ROWS, _MOST_RUNS = 16, 6
 def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str:
     """Write the whole screen; it ends with a newline."""
     config, judged = content.config, content.machine_verdict
-    whole = judged["reservation"] or f"{judged['verdict']}: {judged['reason'].rstrip('.')}"
+    whole = (judged["reservation"] or f"{judged['verdict']}: {judged['reason']}").rstrip(".")
     numbers = [
         f"{number['label']} {write_number(number['value'], number['deviation'])} {number['unit']}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)

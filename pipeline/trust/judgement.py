@@ -23,6 +23,7 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
+from pipeline.ingest.plausibility import measure_backward
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.linearised import Gains, weigh_candidates
@@ -40,6 +41,7 @@ from pipeline.trust.verdict import (
     judge_contradiction,
     judge_machine,
     judge_mistakes,
+    judge_whirl,
     worst,
 )
 from pipeline.write_numbers import write_number
@@ -147,7 +149,7 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
         made_of = {} if config.data.vibration or config.data.excitation else config.machine.recordings.probes
         probes = {name: name_channel(probe.node, probe.angle) for name, probe in made_of.items()}
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
-    against = judge_mistakes(mistakes, list(find_contradicted(evidence)))
+    against = judge_whirl(measure_backward(data)) + judge_mistakes(mistakes, list(find_contradicted(evidence)))
     against += judge_contradiction(find_contradiction(about, config.model.kind))
     return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
 

@@ -67,11 +67,13 @@ class Drawn:
 
 
 def draw_machine(seed: int, floor: str = "0.05 um", trouble: str = "none") -> Drawn:
-    """The machine of a seed, which no trouble changes; drawn again while it is unstable at one of its speeds."""
+    """The machine of a seed, which no trouble changes; drawn again while it is unstable at one of its speeds, or two
+    probes share a place."""
     generator = np.random.default_rng([seed, 11])
     while True:
         drawn = _draw(generator)
-        if is_stable(drawn):
+        places = [(probe["node"], probe["angle"]) for probe in drawn.stated["probes"]["at"]]
+        if len(set(places)) == len(places) and is_stable(drawn):
             drawn.stated["speeds"]["step_rpm"] *= TROUBLE[trouble].get("every", 1)
             return replace(drawn, floor=float(floor.split()[0]) * 1e-6, trouble=TROUBLE[trouble])
 

@@ -16,7 +16,7 @@ from pipeline.trust.evidence import Evidence, Growth
 from pipeline.trust.judgement import judge
 from pipeline.trust.misfit import measure_misfit
 from pipeline.trust.mistake import Mistake
-from pipeline.trust.verdict import find_contradicted, judge_mistakes
+from pipeline.trust.verdict import find_contradicted, judge_mistakes, judge_whirl
 
 FIT: dict[str, Any] = {
     "chi_square": {"value": 100.0, "expected": 100.0, "readings": 120, "numbers": 40},
@@ -185,3 +185,10 @@ def test_a_tolerance_larger_than_the_fits_own_share_is_named() -> None:
     assert entry["verdict"] == "with care"
     assert "A usual tolerance of probe angle" in entry["reasons"][0]
     assert "identify.model_parameters.probe_angle" in entry["next"]
+
+
+def test_mirrored_phases_are_told_by_the_orbits() -> None:
+    """Without a run of unbalances, or where half of the orbits turn backward, nothing is said."""
+    assert not judge_whirl({}) + judge_whirl({"a": 0.9, "b": 0.3})
+    (reason,) = judge_whirl({"a": 1.0, "b": 0.96})
+    assert_says(reason.sentence, "unbalance runs turn backward at 98 % of speeds and nodes")
