@@ -207,7 +207,7 @@ def test_tracks_are_kept_by_what_they_are_made_from(tmp_path: Path, monkeypatch:
     path = write_hdf5(tmp_path / "one.h5", run_up(0.0))
     section = signal_config("", [RUNS[0] | {"file": str(path)}], slow_roll={"below_rpm": 420})
     first = read(section)
-    monkeypatch.setattr("pipeline.ingest.order_tracking._fit_each", lambda *_: pytest.fail("the signal is fitted again"))
+    monkeypatch.setattr("pipeline.ingest.order_tracking._fit_each", lambda *_: pytest.fail("it is fitted again"))
     other = read(section | {"runs": [section["runs"][0] | {"unbalances": RUNS[1]["unbalances"]}]})
     assert other.displacement.tobytes() == first.displacement.tobytes()
     write_hdf5(path, run_up(0.5))
