@@ -12,7 +12,7 @@ from pathlib import Path
 from benchmarks.measure import BENCHMARKS, Benchmark, Measured
 from benchmarks.report import markdown, row
 
-_MODULES = ("modelling", "growth", "training", "noise", "studies", "startup", "patience")
+_MODULES = ("modelling", "growth", "peers", "training", "noise", "studies", "startup", "patience")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

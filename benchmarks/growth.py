@@ -42,8 +42,8 @@ def _speeds(times: float) -> Action:
     return _fit(lambda data: data, f"machine.speeds.step_rpm={40 / times:g}")
 
 
-def _runs(times: float) -> Action:
-    """Repeats of every run."""
+def fit_of_runs(times: float, nodes: Collection[int] = range(7)) -> Action:
+    """A fit of four ``times`` as many repeats of three runs, by the probes at some ``nodes``."""
 
     def repeat(data: VibrationDataset) -> VibrationDataset:
         import numpy as np
@@ -52,13 +52,14 @@ def _runs(times: float) -> Action:
         names = [f"{run} {i}" for i in range(count) for run in data.runs]
         acting = [replace(e, run=f"{e.run} {i}") for i in range(count) for e in data.excitations]
         every = np.concatenate([data.displacement] * count, axis=2)
-        return replace(
+        many = replace(
             data,
             runs=tuple(names),
             displacement=every,
             excitations=tuple(acting),
             present=np.ones((1, len(names)), bool),
         )
+        return _show(many, nodes)
 
     return _fit(repeat, "machine.speeds.step_rpm=100")
 
@@ -88,11 +89,12 @@ def _fit(change: Callable[[VibrationDataset], VibrationDataset], *overrides: str
     from pipeline.identification.training import setup_of
 
     made = machine(f"experiment={_EXPERIMENT}", *overrides)
-    data = change(_noisy(made.dataset))
+    data = change(add_noise(made.dataset))
     return lambda: conclude(fit_output_error(made.measured(data, made.config), setup_of(made.config)))
 
 
-def _noisy(data: VibrationDataset, share: float = 0.01) -> VibrationDataset:
+def add_noise(data: VibrationDataset, share: float = 0.01) -> VibrationDataset:
+    """Readings with circular noise of a ``share`` of each."""
     import numpy as np
 
     parts = np.random.default_rng(0).standard_normal((2, *data.displacement.shape)) / np.sqrt(2)
@@ -114,7 +116,7 @@ for _what, _make, _times, _said in (
         "the response of a rotor of 97 nodes",
     ),
     ("speeds", _speeds, 4, "a fit at 591 speeds"),
-    ("runs", _runs, 4, "a fit of 48 runs at 60 speeds"),
+    ("runs", fit_of_runs, 4, "a fit of 48 runs at 60 speeds"),
     ("probes", _probes, 3.5, "a fit with probes at 7 nodes"),
     ("data_sets", _data_sets, 3, "6 data sets measured and fitted"),
 ):

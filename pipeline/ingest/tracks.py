@@ -5,6 +5,7 @@ Legend: S speeds, P probes, R runs.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -40,6 +41,25 @@ class RunTracks:
     notes: tuple[str, ...] = ()
     times: np.ndarray | None = None  # (S,) s, when a run-up passed the speeds of its tracks
     conditions: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)  # rad/s and SI (n,) each
+
+    def pack(self) -> bytes:
+        """All of it, bit by bit, for :func:`unpack_tracks`; conditions are not there yet."""
+        tracks, slow = (
+            {name: [track.speeds.tolist(), track.vectors.view(float).tolist()] for name, track in every.items()}
+            for every in (self.tracks, self.slow)
+        )
+        times = np.ravel(() if self.times is None else self.times).tolist()
+        return json.dumps([self.name, self.source, tracks, slow, self.notes, times]).encode()
+
+
+def unpack_tracks(content: bytes) -> RunTracks:
+    """What :meth:`RunTracks.pack` made."""
+    name, source, *both, notes, times = json.loads(content)
+    tracks, slow = (
+        {probe: Track(np.array(speeds), np.array(parts).view(complex)) for probe, (speeds, parts) in every.items()}
+        for every in both
+    )
+    return RunTracks(name, source, tracks, slow, tuple(notes), np.array(times) if times else None)
 
 
 def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str, fastest: float = 1e5) -> Track:

@@ -24,17 +24,22 @@ from pipeline.config.quantities import Frequency
 from pipeline.config.section import rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import DataError
+from pipeline.files import hash_file, hash_parts, keep, look_up
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.recordings import read_recording
 from pipeline.ingest.table import note_cut
 from pipeline.ingest.tacho import find_pulses, fit_angle
-from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track
+from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track, unpack_tracks
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_rough
 
 Edge = Literal["rising", "falling"]
+_MADE_BY = sorted(
+    path for room in ("config", "data", "ingest") for path in Path(__file__).parents[1].glob(f"{room}/*.py")
+)
+"""What makes tracks of signals, beside NumPy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,20 +114,28 @@ class SignalConfig(MeasuredConfig):
         return f"time signals in {self.signal_unit}, {records}, tacho edge {self.tacho.edge}"
 
     def read(self) -> tuple[RunTracks, ...]:
-        """The 1X vectors of all runs, fitted to time signals.
+        """The 1X vectors of all runs, fitted to time signals, and kept: what acted in a run may change without them.
 
         Raises DataError; see :mod:`pipeline.ingest.recordings`, :mod:`pipeline.ingest.tacho` and
         :mod:`pipeline.ingest.order_tracking`.
         """
-        runs = []
+        runs, fit = [], _fit_records if self.records == "constant_speed" else _fit_sweep
         for run in self.runs:
             paths = [Path(source) for source in run.sources(self.file)]
-            source = f"'{paths[0]}'" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
-            records = (_read(self, run, path) for path in paths)  # one at a time: they are large
-            if self.records == "constant_speed":
-                runs.append(_fit_records(self, run.name, source, records))
-            else:
-                runs.append(_fit_sweep(self, run.name, source, next(records)))
+            key = hash_parts(
+                self.model_dump_json(exclude={"runs"}),
+                run.model_dump_json(exclude={"unbalances", "forces"}),
+                *map(hash_file, paths),
+                np.__version__,
+                *(path.read_bytes() for path in _MADE_BY),
+            )
+            content = look_up("tracks", key)
+            if not content:
+                source = f"'{paths[0]}'" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+                records = (_read(self, run, path) for path in paths)  # one at a time: they are large
+                content = fit(self, run.name, source, records).pack()
+                keep("tracks", key, content)
+            runs.append(unpack_tracks(content))
         return tuple(runs)
 
     def read_signals(self, run: MeasuredRunConfig) -> list[Signals]:
@@ -248,10 +261,12 @@ def _fit_records(
     return RunTracks(name, source, tracks, tracks, tuple(notes))
 
 
-def _fit_sweep(config: SignalConfig, name: str, source: str, record: Signals, slow_windows: int = 10) -> RunTracks:
-    """Fit vectors at the wanted speeds, and at so many low ones for the slow roll."""
+def _fit_sweep(
+    config: SignalConfig, name: str, source: str, records: Iterable[Signals], slow_windows: int = 10
+) -> RunTracks:
+    """Fit vectors to a single record at the wanted speeds, and at so many low ones for the slow roll."""
     assert config.speeds  # the schema has seen to it
-    wanted = config.speeds.rad_s()
+    (record,), wanted = records, config.speeds.rad_s()
     vectors, times = fit_sweep(record, wanted, config.tracking)
     tracks = _make_tracks(config, wanted, vectors, record.where)
     slow: dict[str, Track] = {}

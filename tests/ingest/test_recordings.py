@@ -202,6 +202,19 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
         read(signal_config("", runs, slow_roll={"below_rpm": 250}))
 
 
+def test_tracks_are_kept_by_what_they_are_made_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another weight reads no signal again and gives the same bits; another file is read."""
+    path = write_hdf5(tmp_path / "one.h5", run_up(0.0))
+    section = signal_config("", [RUNS[0] | {"file": str(path)}], slow_roll={"below_rpm": 420})
+    first = read(section)
+    monkeypatch.setattr("pipeline.ingest.order_tracking._fit_each", lambda *_: pytest.fail("it is fitted again"))
+    other = read(section | {"runs": [section["runs"][0] | {"unbalances": RUNS[1]["unbalances"]}]})
+    assert other.displacement.tobytes() == first.displacement.tobytes()
+    write_hdf5(path, run_up(0.5))
+    with pytest.raises(pytest.fail.Exception):
+        read(section)
+
+
 def test_records_at_constant_speed(tmp_path: Path) -> None:
     """A file a speed, in any order, one vector each; then as they are, or interpolated."""
     speeds = [1207.0, 803.0, 1601.0]
