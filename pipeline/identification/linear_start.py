@@ -62,7 +62,7 @@ def _combine(
         weight = np.ones(matrix.shape[:2])
         for _ in range(rounds):
             # Orthogonal at each speed: as many rows as unknowns are left of it, whatever the number of runs.
-            few = np.linalg.qr(np.dstack([matrix, white.offset[m]]) * weight[..., None], mode="r")
+            few = np.asarray(np.linalg.qr(np.dstack([matrix, white.offset[m]]) * weight[..., None], mode="r"))
             rows = np.einsum("sru,sk->sruk", few[..., :-1], features[m])
             solution = np.linalg.lstsq(rows.reshape(few[..., -1].size, -1), -few[..., -1].ravel(), rcond=1e-10)[0]
             outputs = features[m] @ solution.reshape(rows.shape[2], rows.shape[3]).T
