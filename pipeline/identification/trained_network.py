@@ -175,10 +175,8 @@ def train_from_nodes(
 
     problem, spline = fit.problem, fit.problem.basis.model
     model = replace(spline, functions=None, n_functions=0, **setup.model.network)
-    over, rest = (
-        _spread(points_a_node * (spline.n_functions - 1) + 1),
-        fit.weights[..., problem.places.n_coefficients :],
-    )
+    over = _spread(points_a_node * (spline.n_functions - 1) + 1)
+    rest = fit.weights[..., problem.places.n_coefficients :]
     guess, generator = np.zeros(problem.scale[:, 0].shape), torch.Generator().manual_seed(setup.seed)
     start = start_networks(
         model, guess, generator, over, spline.raw(problem.parameters(fit.weights), over), rest, steep
