@@ -25,6 +25,7 @@ from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_re
 from pipeline.problem.identifiability import Solvability, require_identifiable
 from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.write_numbers import write_rough
 
 
 def fit(
@@ -176,7 +177,7 @@ class OutputErrorLoss:
         kind, precision = "bearing laws of few numbers" if setup.model.has_laws else kind, 1.0
         if start.searched and setup.loss.noise == "estimated":
             precision = start.searched.precision
-            kind += f", whose readings show {1 / precision:.2g} times that noise"
+            kind += f", whose readings show {write_rough(1 / precision)} times that noise"
         expected = expect_uncertainty(start, precision)
         table = model.table(measurement.known)
         return Deviations(table, expected.deviation(model, table.speeds, table.operating), kind)

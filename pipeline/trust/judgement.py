@@ -44,7 +44,7 @@ from pipeline.trust.verdict import (
     judge_whirl,
     worst,
 )
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_rough
 
 AS_FELT = "the bearings as the shaft feels them (film and support)"
 NO_RUN = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
@@ -209,8 +209,8 @@ def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: fl
     if factors and factors[best] >= worth:
         run, gain = gains[best][0], factors[best]
         step = (
-            f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls {gain:.2g} "
-            "times."
+            f"Add a run with {describe_run(run)}: the deviation of {COEFFICIENTS[c]} at node {node} falls "
+            f"{write_rough(gain)} times."
         )
     return replace(reason, next=step)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.identification.quality import FAR_FROM_EXPECTED, MISMATCH
-from pipeline.write_numbers import write_number
+from pipeline.write_numbers import write_number, write_rough
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,15 @@ class Misfit:
             return None
         if self.noise_factor > self.distance:
             return (
-                f"The readings lie {self.noise_factor:.2g} times as far from the fit as the stated noise, and their "
-                "distance wanders over the speed.",
+                f"The readings lie {write_rough(self.noise_factor)} times as far from the fit as the stated noise, and "
+                "their distance wanders over the speed.",
                 "State the noise as it is (stated_noise), or find what else is in the readings: runout, a support, a "
                 "wrong weight, a wrong probe.",
             )
         noise = "the noise that was found" if self.estimated else "stated noise"
         return (
-            f"Model and {noise} do not explain the readings: they lie {self.distance:.2g} times as far from the fit as "
-            f"{'noise alone would have it at neighbouring speeds' if self.estimated else 'their noise'}.",
+            f"Model and {noise} do not explain the readings: they lie {write_rough(self.distance)} times as far from the "
+            f"fit as {'noise alone would have it at neighbouring speeds' if self.estimated else 'their noise'}.",
             "Check units, angles, weights, probes and rotor; state what may be a little wrong as "
             "identify.model_parameters; use model=bearings_network for coefficients with kinks.",
         )
@@ -147,4 +147,4 @@ def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -
     name, error = kind.replace("held_out_", "held-out "), held_out["error_percent"]
     if error is None:
         return f"{name} have no prediction: coefficients leave all bounds where nothing was fitted"
-    return f"{name} predicted to {error:.{digits}g} %"
+    return f"{name} predicted to {write_number(error, digits=digits)} %"

@@ -29,6 +29,7 @@ from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.trust.linearised import name_channels
 from pipeline.trust.mistake import NOTHING_FREE, Free, Mistake, list_mistakes
 from pipeline.unknowns import outputs_of, scale_outputs
+from pipeline.write_numbers import write_number
 
 WORTH_TRYING = 2.0
 """Mean square over the noise below which the readings are explained well enough."""
@@ -90,7 +91,8 @@ def find_mistakes(
             sentence, far = mistake.sentence, mistake.gross
             if len(fit.free) == 2:  # the gain that the fit found
                 gain = 1 + complex(*fit.free)
-                sentence += f" ({abs(gain):.3g} times as large, turned by {np.degrees(np.angle(gain)):.0f} deg)"
+                turned = f"turned by {np.degrees(np.angle(gain)):.0f} deg"
+                sentence += f" ({write_number(abs(gain), digits=3)} times as large, {turned})"
                 far = far or abs(gain - 1) > gross
             named.append(replace(mistake, sentence=sentence, gross=far, falls_by=base.mean_square / fit.mean_square))
     return named

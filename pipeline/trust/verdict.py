@@ -22,7 +22,7 @@ from pipeline.problem.determination import Determination, Determined, measure_si
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence
 from pipeline.trust.mistake import Mistake
-from pipeline.write_numbers import write_number, write_percent
+from pipeline.write_numbers import write_number, write_percent, write_rough
 
 
 class Verdict(StrEnum):
@@ -112,7 +112,7 @@ def judge_mistakes(mistakes: Sequence[Mistake], contradicted: Sequence[str] = ()
     return [
         Reason(
             Verdict.NO if best.gross else Verdict.WITH_CARE,
-            f"The readings fit {np.sqrt(best.falls_by):.2g} times better if this is so: {text}.{doubt}",
+            f"The readings fit {write_rough(np.sqrt(best.falls_by))} times better if this is so: {text}.{doubt}",
             f"Check {checks}; correct it and identify again.",
         )
     ]
@@ -191,7 +191,8 @@ def _judge_runs(evidence: Evidence) -> list[Reason]:
             return [
                 Reason(
                     Verdict.WITH_CARE,
-                    f"Run '{run}' contradicts {what}: it lies {np.sqrt(bad[run]):.2g} times its noise away.{doubt}",
+                    f"Run '{run}' contradicts {what}: it lies {write_rough(np.sqrt(bad[run]))} times its noise "
+                    f"away.{doubt}",
                     f"Check {model}the weight, its angle and its plane in run '{run}', or measure this run again.",
                 )
             ]
@@ -218,8 +219,8 @@ def _judge_priors(evidence: Evidence, never: float = 1e-6) -> list[Reason]:
         cure = f"Measure {number} again, or state a wider tolerance if it was a guess."
         return [Reason(Verdict.WITH_CARE, f"{asked}.", cure)]
     together = (
-        f"{asked}, and for all numbers of rotor, weights and probes {np.sqrt(square / len(moves)):.2g} times as far "
-        "away as tolerances allow: the model lacks something."
+        f"{asked}, and for all numbers of rotor, weights and probes {write_rough(np.sqrt(square / len(moves)))} times "
+        "as far away as tolerances allow: the model lacks something."
     )
     cure = "Look for what differs between the runs or is not in the model: bearings that drift, a support, a coupling."
     return [Reason(Verdict.NO, together, cure)]
@@ -270,7 +271,7 @@ def judge_coefficient(
         reasons.append(
             Reason(
                 Verdict.WITH_CARE,
-                f"Without {left_out}, {name} at node {node} would be another by {share:.2g} times its band."
+                f"Without {left_out}, {name} at node {node} would be another by {write_rough(share)} times its band."
                 + ("" if blamed else MODEL_MAY),
                 f"Check {left_out}, or measure it again." if blamed else f"Check the model, and {left_out}.",
             )
