@@ -81,8 +81,8 @@ class Misfit:
             )
         noise = "the noise that was found" if self.estimated else "stated noise"
         return (
-            f"Model and {noise} do not explain the readings: they lie {write_rough(self.distance)} times as far from the "
-            f"fit as {'noise alone would have it at neighbouring speeds' if self.estimated else 'their noise'}.",
+            f"Model and {noise} do not explain the readings: they lie {write_rough(self.distance)} times as far from "
+            f"the fit as {'noise alone would have it at neighbouring speeds' if self.estimated else 'their noise'}.",
             "Check units, angles, weights, probes and rotor; state what may be a little wrong as "
             "identify.model_parameters; use model=bearings_network for coefficients with kinks.",
         )
