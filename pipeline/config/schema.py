@@ -79,12 +79,23 @@ class ExportConfig(Section):
 
 
 class NewConfig(Section):
-    """``stage=new`` writes a machine file for this kind of bearings and this source of data, or for that of a file of a
-    logger (``from``), filled with what is recognised in it."""
+    """``stage=new`` writes a machine file for this kind of bearings, what they stand on, what the probes measure the
+    motion of, and this source of data, or for that of a file of a logger (``from``), filled with what is recognised in
+    it."""
 
     bearings: Literal["rolling", "fluid_film"]
+    supports: Literal["none", "pedestals", "base"] = "none"
+    probes: Literal["shaft", "relative", "casing", "both"] = "shaft"
     data: Literal["recordings", "tables", "processed", "simulated"]
     source: str | None = Field(default=None, alias="from")
+
+    @rule
+    def _moves(self) -> Iterator[str]:
+        if self.probes != "shaft" and self.supports == "none":
+            yield (
+                f"must have supports (pedestals or base) where probes={self.probes}, since no casing moves without, but "
+                "supports is none: give them, or probes=shaft"
+            )
 
 
 class PromotedConfig(Section):

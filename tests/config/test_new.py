@@ -28,9 +28,14 @@ pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: h
 
 EXAMPLE = CONF.parent / "examples" / "measured_demo"
 KINDS = [
-    (bearings, data)
+    (bearings, data, "none", "shaft")
     for bearings in ("rolling", "fluid_film")
     for data in ("simulated", "recordings", "tables", "processed")
+] + [
+    ("rolling", "simulated", "pedestals", "both"),
+    ("fluid_film", "simulated", "base", "relative"),
+    ("fluid_film", "recordings", "base", "casing"),
+    ("rolling", "tables", "pedestals", "both"),
 ]
 
 
@@ -40,11 +45,11 @@ def made_by_new(path: Path, *overrides: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("bearings", "data"), KINDS)
-def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
+@pytest.mark.parametrize(("bearings", "data", "supports", "probes"), KINDS)
+def test_a_template_composes(bearings: str, data: str, supports: str, probes: str, folder: Path) -> None:
     """Each kind, as it is; 120 columns, comments at every section, no key that the schema does not know."""
     path = folder / "rig 2.yaml"
-    text = fill_template(path, bearings, data)
+    text = fill_template(path, bearings, data, supports, probes)
     path.write_text(text)
     for name in ("vibration.csv", "excitation.csv"):
         (folder / name).symlink_to(EXAMPLE / name)
@@ -56,6 +61,13 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
     assert (config.data.vibration is not None) == (data == "processed")
     assert config.loss.noise == ("stated" if data == "simulated" else "estimated")
     assert config.name == "rig_2"
+    ground = {"none": (0, 0), "pedestals": (2, 0), "base": (0, 2)}
+    assert (len(config.machine.rotor.supports), len(config.machine.rotor.base.points)) == ground[supports]
+    motions = {"shaft": {"shaft"}, "both": {"casing", "shaft relative to casing"}, "casing": {"casing"}}
+    if probes != "shaft":
+        simulated = data == "simulated"
+        listed = config.machine.probes.at if simulated else config.machine.recordings.probes.values()
+        assert {probe.measures for probe in listed} == motions.get(probes, {"shaft relative to casing"})
     if data == "processed":  # its speeds and runs are those of the files
         assert config.machine.speeds.model_dump() == {"start_rpm": 1500, "stop_rpm": 5800, "step_rpm": 100}
         assert [len(run.unbalances) for run in config.machine.runs] == [1, 1, 2]
@@ -83,6 +95,8 @@ def test_new_replaces_nothing(folder: Path) -> None:
         run_stage(compose_config(["stage=new"]))
     with refused("must end in .yaml", kind=ConfigError):
         made_by_new(folder / "rig.txt")
+    with refused("new: must have supports (pedestals or base) where probes=casing", kind=ConfigError):
+        made_by_new(folder / "rig.yaml", "new.probes=casing")
     with refused("a command of its own", kind=ConfigError):
         compose_stages(["stage=[new,train]", given_by(folder / "x.yaml")])
     with refused("new.data: must be one of these", "did you mean 'tables'?", kind=ConfigError):
