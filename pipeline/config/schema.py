@@ -86,15 +86,15 @@ class NewConfig(Section):
     bearings: Literal["rolling", "fluid_film"]
     supports: Literal["none", "pedestals", "base"] = "none"
     probes: Literal["shaft", "relative", "casing", "both"] = "shaft"
-    data: Literal["recordings", "tables", "processed", "simulated"]
+    data: Literal["recordings", "tables", "exciter", "processed", "simulated"]
     source: str | None = Field(default=None, alias="from")
 
     @rule
     def _moves(self) -> Iterator[str]:
         if self.probes != "shaft" and self.supports == "none":
             yield (
-                f"must have supports (pedestals or base) where probes={self.probes}, since no casing moves without, but "
-                "supports is none: give them, or probes=shaft"
+                f"must have supports (pedestals or base) where probes={self.probes}, since no casing moves without, "
+                "but supports is none: give them, or probes=shaft"
             )
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.runs import find_frequencies
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import split_states
@@ -191,7 +192,8 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
     """The rotor and each bearing, a file a state, and their deviations; how far ROSS's smoothing moves the response."""
     from pipeline.rotor.ross_export import export_rotor, make_bearings, read_table
 
-    rotor, asked, off = config.machine.rotor, (list_unseen(config.machine), config.machine.prediction.node), []
+    rotor, prediction, off = config.machine.rotor, config.machine.prediction, []
+    asked = list_unseen(config.machine), prediction.node, find_frequencies(prediction, states[0].table.speeds)
     for exported in states:
         made = export_rotor(rotor, updated.parameters, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")

@@ -127,7 +127,7 @@ class Readings:
     def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
         """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
         return self.measurement.deviation_of(
-            predicted, self.measurement.baseline[..., self.runs[b]], factor, alone=True
+            predicted, self.measurement.baseline[..., self.runs[b]], factor, alone=True, runs=self.runs[b]
         )
 
     def departure(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
@@ -160,7 +160,7 @@ class Readings:
         counted = tuple(shares) or (np.ones(1),) * len(self.runs)
         for b, expected in enumerate(predicted):
             taken = measurement.baseline[..., self.runs[b]]
-            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor, alone=True)
+            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor, alone=True, runs=self.runs[b])
             precision.append(torch.as_tensor(np.sqrt(2.0 * counted[b]) / alone) * self.present(b))
             if measurement.noise.record:
                 records.append(measurement.noise.record * expected * precision[-1])

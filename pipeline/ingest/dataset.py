@@ -23,6 +23,7 @@ from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
+from pipeline.ingest.exciter import ExciterRecordingsConfig, FrequencyResponse
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
@@ -41,6 +42,7 @@ RecordingsConfig = Annotated[
     | RecordsConfig
     | UffRecordingsConfig
     | WaveformRecordingsConfig
+    | ExciterRecordingsConfig
     | RossRecordingsConfig,
     Field(discriminator="format"),
 ]
@@ -117,6 +119,34 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         if not set(list_directions((node,))) <= set(channels)
     ]
     return MeasuredRuns(dataset, recorded, runs, _join_alike(notes), sweeps)
+
+
+def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -> VibrationDataset:
+    """Responses to 1 N: each line of each of the ``tests`` is a run, with the noise of its readings."""
+    speeds, at_speed = np.unique([test.speed for test in tests], return_inverse=True)
+    lines = [(t, hz) for t, test in enumerate(tests) for hz in test.frequencies]
+    names = [f"{tests[t].run.name} {write_number(hz, digits=8)} Hz" for t, hz in lines]
+    channels, shares, _ = resolve(config.probes, np.eye(len(config.probes))[..., None])  # (P, Q, 1)
+    where, rows = at_speed[[t for t, _ in lines]], np.arange(len(lines))
+    displacement = np.zeros((len(speeds), len(channels), len(lines)), dtype=complex)
+    noise = np.zeros(displacement.shape)
+    displacement[where, :, rows] = np.concatenate([test.response for test in tests]) @ shares[..., 0]
+    noise[where, :, rows] = np.sqrt(np.concatenate([test.noise for test in tests]) ** 2 @ shares[..., 0] ** 2)
+    acting = [
+        replace(excitation, run=name)
+        for (t, _), name in zip(lines, names, strict=True)
+        for excitation in list_acting(config, tests[t].run)
+    ]
+    return VibrationDataset(
+        speeds,
+        tuple(names),
+        channels,
+        displacement,
+        tuple(acting),
+        np.tile([2 * np.pi * hz for _, hz in lines], (len(speeds), 1)),
+        present=where == np.arange(len(speeds))[:, None],
+        noise=noise,
+    )
 
 
 def _join_alike(notes: Sequence[str]) -> tuple[str, ...]:

@@ -5,11 +5,10 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -24,7 +23,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
-from pipeline.config.runs import check_frequency
+from pipeline.config.runs import check_frequency, find_frequencies
 from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.data.tables import Columns, is_csv, read_table
@@ -73,8 +72,7 @@ class TableRunConfig(MeasuredRunConfig):
 
     def frequencies(self, speeds: np.ndarray) -> np.ndarray:
         """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
-        hz, ratio = self.frequency_hz, self.frequency_ratio
-        return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
+        return find_frequencies(self, speeds)
 
     _synchronous = rule(check_frequency)
 
@@ -106,6 +104,10 @@ class TableRecordingsConfig(MeasuredConfig):
             for column, times in Counter(pair.amplitude for pair in pairs if pair).items():
                 if times > 1:
                     yield f"each probe must have columns of its own, but {times} have '{column}': correct one"
+
+    def state_frequency(self, run: Any) -> dict[str, float | None]:
+        """Keys of a simulated run with the frequency of a recorded one, where that is not the rotor's."""
+        return {"frequency_hz": run.frequency_hz, "frequency_ratio": run.frequency_ratio}
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
@@ -198,7 +200,8 @@ def _make_track(
     order, size = to_motion(said.unit, config.probes[probe].scale)
     vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
     speeds = table[config.columns.speed] * RAD_S[said.speed]
-    return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
+    shown = to_displacement(vectors, order, run.frequencies(speeds))
+    return sort_track(speeds, shown, where, at_rest=bool(run.frequency_hz))
 
 
 def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
+    from pipeline.ingest.exciter import FrequencyResponse
     from pipeline.sweep.fit import ModalFit, RunUp
 
 AMPLITUDE = "amplitude (µm pk-pk)"
@@ -108,6 +109,26 @@ def draw_bode(
     seen = {f"{name}: node {node}, {angle:g}°": dataset.project(node, angle) for name, (node, angle) in probes.items()}
     traces = list_traces(dataset, dict(enumerate(choose_looks(dataset.runs, baseline))))
     return write_figure(path, Figure("bode", BODE, draw_bode_panels(dataset.speeds, seen, traces)))
+
+
+def draw_responses(path: Path, probes: Sequence[str], tests: Sequence[FrequencyResponse]) -> Path:
+    """Displacement over force of every probe and run, with its band, over its coherence."""
+    panels = []
+    for p, probe in enumerate(probes):
+        above, below = [], []
+        for look, test in zip(choose_looks([test.run.name for test in tests]), tests, strict=True):
+            deviation = MICROMETRES * test.noise[:, p] / np.sqrt(2)  # of the amplitude alone
+            size = MICROMETRES * np.abs(test.response[:, p])
+            above.append(Curve(test.frequencies, size, **look, deviation=deviation))
+            below.append(Curve(test.frequencies, test.coherence[:, p], **look))
+        axes = [
+            Axes(above, "displacement over force (µm/N)", scale="log"),
+            Axes(below, "coherence", y_range=(0.0, 1.0)),
+        ]
+        panels.append(Panel(probe, "frequency (Hz)", axes))
+    return write_figure(
+        path, Figure("responses", "Averaged responses to the measured force, with their bands.", panels)
+    )
 
 
 def find_lag(vectors: np.ndarray) -> np.ndarray:

@@ -81,6 +81,7 @@ def fill_template(path: Path, bearings: str, data: str, supports: str = "none", 
         "processed": {"processed", "measured"},
         "recordings": {"recordings", "recorded", "measured"},
         "tables": {"tables", "recorded", "measured"},
+        "exciter": {"exciter", "recorded", "measured"},
     }
     seen = {"shaft": {"shaft"}, "both": {"relative", "casing", "ground"}}.get(probes, {probes, "ground"})
     tags = {bearings, supports} | sections[data] | seen

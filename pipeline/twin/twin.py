@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.config.machine import MachineConfig
+from pipeline.config.runs import find_frequencies
 from pipeline.data.dataset import Excitation
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.vibration_files import place_speed
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.identified import Answer
@@ -51,10 +53,10 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
     operating = {name: operating[name] for name in dataset.operating}
     require_nodes(measurement.rotor, "machine.prediction", [asked.node, *(unbalance.node for unbalance in unseen)])
     speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
-    if (run := find_same_run(unseen, dataset.excitations)) is not None:
-        raise ConfigError(
-            f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
-        )
+    alike = np.isclose(dataset.frequencies, find_frequencies(asked, dataset.speeds)[:, None]).any(axis=0)
+    if (run := find_same_run(unseen, dataset.of_runs(np.flatnonzero(alike)).excitations)) is not None:
+        what = "unbalances must be an unbalance" if asked.unbalances else "forces must be a force"
+        raise ConfigError(f"machine.prediction.{what} that training never saw, but run '{run}' is the same")
     return operating, speeds, at
 
 
@@ -66,7 +68,8 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
     operating, speeds, at = plan_twin(machine, stated)
     points, identified = evaluate_at(answer.model, stated, operating, OPERATING, speeds)
-    truth = _truth_at(machine, stated, modelled, operating, speeds)
+    truth, w = _truth_at(machine, stated, modelled, operating, speeds), find_frequencies(machine.prediction, speeds)
+    highest = float(stated.dataset.frequencies.max())
     systems: dict[str, BearingTable] = {}
     vibration: dict[str, PredictedVibration] = {}
     behaviour: dict[str, Behaviour] = {}
@@ -79,11 +82,11 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
                 refine_nodes(unseen, built),
             )
             place = built.refinement * node
-        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place)
-        behaviour["modelled"] = Behaviour(find_modes(rotor, truth))
+        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place, w)
+        behaviour["modelled"] = Behaviour(find_modes(rotor, truth, highest=highest))
     systems["identified"] = identified
-    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node)
-    modes = find_modes(points.updated_rotor, identified)
+    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node, w)
+    modes = find_modes(points.updated_rotor, identified, highest=highest)
     deviations = None
     if answer.uncertainty is not None:
         given = (answer.model, answer.uncertainty)
@@ -127,7 +130,8 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
-    shares = find_shares(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
+    w = find_frequencies(machine.prediction, dataset.speeds)
+    shares = find_shares(dataset, runs, list_unseen(machine), w, bool(measurement.unknowns.planes))
     if not all(len(row) for row in rows):
         return f"no probes show x and y of node {node}"
     if shares is None:
@@ -136,10 +140,8 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
 
 
 def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:
-    """The unbalances that the twin is judged by, as one run."""
-    return tuple(
-        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in machine.prediction.unbalances
-    )
+    """What the twin is judged by, as one run."""
+    return run_excitations(machine.prediction)
 
 
 def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
@@ -167,8 +169,9 @@ def measure_unseen(
     if not all(np.isfinite(answer.values).all() for answer in answers):
         return None
     try:
-        true = predict(rotor, modelled, unseen, node)
-        errors = [predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max() for answer in answers]
+        asked = unseen, node, find_frequencies(machine.prediction, modelled.speeds)
+        true = predict(rotor, modelled, *asked)
+        errors = [predict(rotor, answer, *asked).error_percent(true).mean(axis=0).max() for answer in answers]
     except PipelineError:  # a diverged start may have a singular machine
         return None
     worst = float(max([0.0, *errors]))

@@ -26,7 +26,7 @@ from pipeline.reporting.content import FitContent, ReportContent, list_reservati
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.summary import describe_stability
-from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
+from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, show, summarize_modes
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import write_number
@@ -62,12 +62,16 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
             )
             for text in fit.beyond
         ),
-        _list_critical_speeds(speeds, identified["critical_speeds"]),
+        _list_critical_speeds(speeds, identified),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(speeds) > 1 else ()),
     ]
 
 
-def _list_critical_speeds(speeds: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
+def _list_critical_speeds(speeds: np.ndarray, modes: Mapping[str, Any]) -> Table | str:
+    critical, natural = modes["critical_speeds"], modes.get("modes", {})
+    if natural:
+        rows = [[number, show(mode, "hz"), show(mode, "logarithmic_decrement")] for number, mode in natural.items()]
+        return Table(f"Natural frequencies at {write_range(speeds)}", ["mode", "Hz", "log decrement"], rows)
     if not critical:
         return f"No damped natural frequency equals the rotor speed from {write_range(speeds)}."
     return Table(
@@ -162,9 +166,10 @@ def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
         f"node {unbalance.node}: "
         + describe_weight(unbalance.magnitude / GRAM_MILLIMETRE, float(np.degrees(unbalance.phase)))
         for unbalance in asked.unbalances
-    )
+    ) + "; ".join(f"node {force.node}: {force.magnitude:g} N, {force.whirl}" for force in asked.forces)
     stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
     told = f"({acting}){',' * bool(fit.state)}{fit.state}{stated}"
-    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has {told}."
+    kind = "1X amplitude" if asked.unbalances else "amplitude"
+    caption = f"Predicted {kind} of node {asked.node} under {asked.what} that no run has {told}."
     axes = Axes(draw_sizes(twin.vibration, 1.0), AMPLITUDE, quantity="amplitude")
     return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])
