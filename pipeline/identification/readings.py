@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.parameters.bearings import BASELINE, drift_scales
+from pipeline.parameters.bearings import BASELINE, drift_scales, mass_change
 from pipeline.parameters.ground import softening, support_change
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
@@ -249,7 +249,10 @@ class SensorModel:
         measurement, slopes = self.measurement, []
         for block in self.blocks:
             changes = support_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
-            every = np.concatenate([measurement.known_variation, changes], axis=1)
+            masses = mass_change(
+                measurement.parameters, measurement.known_variation.shape[1], block.frequencies.numpy()
+            )
+            every = np.concatenate([measurement.known_variation + masses, changes], axis=1)
             slopes.append(torch.as_tensor(every.reshape(len(every), len(self._influence), len(self.solved_at))))
         return tuple(slopes)
 
@@ -259,6 +262,14 @@ class SensorModel:
         import torch
 
         return torch.tensor([p.growth for p in self.measurement.parameters], dtype=torch.float64)
+
+    @cached_property
+    def _spread(self) -> torch.Tensor:
+        """(T,) one for what acts by the rotor's matrices, zero for what acts where bearings and casings stand alone."""
+        import torch
+
+        alone = [p.growth > 0 or p.row.local for p in self.measurement.parameters]
+        return 1.0 - torch.tensor(alone, dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, T) by how many deviations each number is off: supports grow with the exponential of their parameter."""
@@ -308,7 +319,7 @@ class SensorModel:
         """
         import torch
 
-        shift = (parameters - self.solved_at) * (self._growth == 0)
+        shift = (parameters - self.solved_at) * self._spread
         steps = self._step(parameters) - self._step(self.solved_at)
         known = self._known + (self._known_slopes[b] @ steps[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
@@ -392,7 +403,7 @@ class SensorModel:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
         if placed.variation is not None:
             by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
-            by_parameters = by_model * (self._growth == 0) + by_parameters
+            by_parameters = by_model * self._spread + by_parameters
         return response.sensors, by_numbers, by_planes, by_parameters
 
 

@@ -5,14 +5,19 @@ Legend: T parameters, S speeds, B bearings, R runs. SI units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.quantities import Mass
+from pipeline.errors import ConfigError
 from pipeline.parameters.kind import Kind, Machine, Place, PositiveShare
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.interpolation import bearing_places
+from pipeline.rotor.model import TRANSLATIONS, RotorModel
 
 if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
@@ -46,6 +51,39 @@ def known_variation(parameters: Sequence[ModelParameter], known: BearingTable) -
     return result
 
 
+def _find_masses(machine: Machine) -> list[Place]:
+    """Of each stiffness that is identified at a seal. Raises ConfigError for one without coefficients."""
+    nodes = machine.rotor.bearing_nodes
+    if strange := [node for node in machine.seal_nodes if node not in nodes]:
+        raise ConfigError(
+            f"identify.seal_nodes must be bearing nodes of the rotor ({', '.join(map(str, nodes))}), which have the "
+            f"seals' stiffness and damping, but got {strange[0]}: name it among machine.rotor.bearing_nodes, too"
+        )
+    names = [(b, name) for b, node in enumerate(nodes) if node in machine.seal_nodes for name in COEFFICIENTS[:4]]
+    asked = [(b, name) for b, name in names if machine.unknowns.identified[b, COEFFICIENTS.index(name)]]
+    return [Place(f"m{name[1:]} node {nodes[b]}", b, name) for b, name in asked]
+
+
+def _add_mass(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
+    unit = np.zeros((len(rotor.bearing_nodes), TRANSLATIONS, TRANSLATIONS))
+    unit[parameter.place].flat[COEFFICIENTS.index(parameter.detail)] = parameter.deviation
+    places, mass = bearing_places(replace(rotor, bearing_shifts=())), np.zeros_like(rotor.mass)  # where it is stated
+    for dof, block in zip(places.dof, places.spread(unit), strict=True):
+        mass[np.ix_(dof, dof)] += block
+    return {"mass": mass}
+
+
+def mass_change(parameters: Sequence[ModelParameter], n_bearings: int, frequencies: np.ndarray) -> np.ndarray:
+    """(S, B, 8, T) what one deviation of each parameter adds to the bearings at ``frequencies`` w (S,) rad/s, where a
+    mass m is the stiffness ``-w^2 m``."""
+    result = np.zeros((len(frequencies), n_bearings, len(COEFFICIENTS), len(parameters)))
+    for t, parameter in enumerate(parameters):
+        if parameter.row.local:
+            c = COEFFICIENTS.index(parameter.detail)
+            result[:, parameter.place, c, t] = -(frequencies**2) * parameter.deviation
+    return result
+
+
 def drift_scales(parameters: Sequence[ModelParameter], runs: Sequence[str], n_bearings: int) -> np.ndarray:
     """(R, B, T) what one deviation of each parameter adds to one, by which a bearing is scaled in a run."""
     scales = np.zeros((len(runs), n_bearings, len(parameters)))
@@ -56,6 +94,17 @@ def drift_scales(parameters: Sequence[ModelParameter], runs: Sequence[str], n_be
 
 
 KINDS = (
+    Kind(
+        name="added_mass",
+        prior=Mass,
+        meaning="of the mass that the fluid adds at each of seal_nodes, in the directions whose stiffness is "
+        "identified; none is stated",
+        places=_find_masses,
+        missing="no identified stiffness at identify.seal_nodes",
+        unit="kg",
+        local=True,
+        rotor=_add_mass,
+    ),
     Kind(
         name="known_coefficients",
         prior=PositiveShare,

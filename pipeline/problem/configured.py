@@ -209,6 +209,8 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         ),
         drift=drift,
         laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),
-        parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),
+        parameters=model_parameters(
+            stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node, identify.seal_nodes
+        ),
         tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns) if usual else (),
     )
