@@ -89,14 +89,6 @@ class NewConfig(Section):
     data: Literal["recordings", "tables", "exciter", "processed", "simulated"]
     source: str | None = Field(default=None, alias="from")
 
-    @rule
-    def _moves(self) -> Iterator[str]:
-        if self.probes != "shaft" and self.supports == "none":
-            yield (
-                f"must have supports (pedestals or base) where probes={self.probes}, since no casing moves without, "
-                "but supports is none: give them, or probes=shaft"
-            )
-
 
 class PromotedConfig(Section):
     """Values of a study that are in force, and those that the command line overrode (by dotted key)."""

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.parameters.bearings import BASELINE, drift_scales, mass_change
-from pipeline.parameters.ground import softening, support_change
+from pipeline.parameters.bearings import BASELINE, drift_scales
+from pipeline.parameters.ground import local_change, softening
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import (
@@ -248,11 +248,8 @@ class SensorModel:
 
         measurement, slopes = self.measurement, []
         for block in self.blocks:
-            changes = support_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
-            masses = mass_change(
-                measurement.parameters, measurement.known_variation.shape[1], block.frequencies.numpy()
-            )
-            every = np.concatenate([measurement.known_variation + masses, changes], axis=1)
+            every = local_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
+            every[:, : len(measurement.rotor.bearing_nodes)] += measurement.known_variation
             slopes.append(torch.as_tensor(every.reshape(len(every), len(self._influence), len(self.solved_at))))
         return tuple(slopes)
 
@@ -268,8 +265,7 @@ class SensorModel:
         """(T,) one for what acts by the rotor's matrices, zero for what acts where bearings and casings stand alone."""
         import torch
 
-        alone = [p.growth > 0 or p.row.local for p in self.measurement.parameters]
-        return 1.0 - torch.tensor(alone, dtype=torch.float64)
+        return torch.tensor([not p.row.local for p in self.measurement.parameters], dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, T) by how many deviations each number is off: supports grow with the exponential of their parameter."""

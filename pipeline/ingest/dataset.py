@@ -123,12 +123,12 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
 
 def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -> VibrationDataset:
     """Responses to 1 N: each line of each of the ``tests`` is a run, with the noise of its readings."""
-    speeds, at_speed = np.unique([test.speed for test in tests], return_inverse=True)
+    rpm, at_speed = np.unique([test.run.speed_rpm for test in tests], return_inverse=True)
     lines = [(t, hz) for t, test in enumerate(tests) for hz in test.frequencies]
     names = [f"{tests[t].run.name} {write_number(hz, digits=8)} Hz" for t, hz in lines]
     channels, shares, _ = resolve(config.probes, np.eye(len(config.probes))[..., None])  # (P, Q, 1)
     where, rows = at_speed[[t for t, _ in lines]], np.arange(len(lines))
-    displacement = np.zeros((len(speeds), len(channels), len(lines)), dtype=complex)
+    displacement = np.zeros((len(rpm), len(channels), len(lines)), dtype=complex)
     noise = np.zeros(displacement.shape)
     displacement[where, :, rows] = np.concatenate([test.response for test in tests]) @ shares[..., 0]
     noise[where, :, rows] = np.sqrt(np.concatenate([test.noise for test in tests]) ** 2 @ shares[..., 0] ** 2)
@@ -138,13 +138,13 @@ def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -
         for excitation in list_acting(config, tests[t].run)
     ]
     return VibrationDataset(
-        speeds,
+        rpm * RAD_S_PER_RPM,
         tuple(names),
         channels,
         displacement,
         tuple(acting),
-        np.tile([2 * np.pi * hz for _, hz in lines], (len(speeds), 1)),
-        present=where == np.arange(len(speeds))[:, None],
+        np.tile([2 * np.pi * hz for _, hz in lines], (len(rpm), 1)),
+        present=where == np.arange(len(rpm))[:, None],
         noise=noise,
     )
 

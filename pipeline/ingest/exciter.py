@@ -16,7 +16,6 @@ Legend: n averages, F spectral lines of a segment, L of them that are wanted, P 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -24,43 +23,35 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig, TachoAngleConfig, Text
+from pipeline.config.measured import MeasuredConfig, TachoAngleConfig, Text
 from pipeline.config.motion import SignalUnit, to_motion
-from pipeline.config.quantities import ShaftAngle, to_si
+from pipeline.config.quantities import Force, ShaftAngle
 from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section, ascending, rule
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.plausibility import note_clipping
 from pipeline.ingest.waveform import SignalRunConfig, StoredSignalsConfig, WaveformProbeConfig
-from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 
 class ReferenceConfig(Section):
-    """The channel of the force, or of the current that makes it: ``scale`` is 22.5 mV/N, 35 N/A, or none in N."""
+    """The channel of the force, or of the current that makes it; ``size`` is the force that one of its numbers stands
+    for, such as ``1 V / (22.5 mV/N)``, ``1 A * (35 N/A)`` or ``1 N``."""
 
     channel: Text
-    unit: Text
-    scale: Text | None = None
-
-    @property
-    def size(self) -> float:
-        """N of one ``unit``. Raises ValueError where the two make no force."""
-        for text in [f"1 {self.unit} / ({self.scale})", f"1 {self.unit} * ({self.scale})"] if self.scale else ():
-            with suppress(ValueError):
-                return to_si(text, "N", "22.5 mV/N")
-        return to_si(f"1 {self.unit}" + f" with {self.scale}" * bool(self.scale), "N", "unit: V with scale: 22.5 mV/N")
-
-    @rule
-    def _force(self) -> Iterator[str]:
-        if not self.size:
-            yield "must have a scale other than zero"
+    size: Force
 
 
-class LinesConfig(Section):
-    """The frequencies of the response: each is the nearest line of a segment's spectrum."""
+class AveragingConfig(Section):
+    """Segments of so many seconds are averaged: random forces with Hann's ``window``, which overlap by half, impacts
+    and steps of a sine as they are (boxcar), each within its segment. Responses are at the lines of a segment's
+    spectrum that are nearest to frequencies from ``start_hz`` to ``stop_hz``.
+    """
 
+    segment: PositiveFloat
+    window: Literal["hann", "boxcar"] = "hann"
+    estimator: Literal["H1", "Hv"] = "H1"
     start_hz: PositiveFloat
     stop_hz: PositiveFloat
     step_hz: PositiveFloat
@@ -70,16 +61,6 @@ class LinesConfig(Section):
     def wanted(self) -> np.ndarray:
         """(L,) Hz."""
         return np.arange(self.start_hz, self.stop_hz + self.step_hz / 2, self.step_hz)
-
-
-class AveragingConfig(Section):
-    """Segments of so many seconds are averaged: random forces with Hann's ``window``, which overlap by half, impacts
-    and steps of a sine as they are (boxcar), each within its segment.
-    """
-
-    segment: PositiveFloat
-    window: Literal["hann", "boxcar"] = "hann"
-    estimator: Literal["H1", "Hv"] = "H1"
 
     def count(self, segments: int, tie: float = 1 / 36) -> float:
         """Independent averages: periodograms of neighbours that overlap by half have so much in common (Welch 1967)."""
@@ -115,7 +96,6 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
     format: Literal["exciter"]
     signal_unit: SignalUnit
     reference: ReferenceConfig
-    lines: LinesConfig
     averaging: AveragingConfig
     probes: dict[str, WaveformProbeConfig] = Field(min_length=1)
     runs: tuple[ExciterRunConfig, ...] = Field(min_length=1)
@@ -127,12 +107,13 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
     def _lawful(self) -> Iterator[str]:
         yield from self.check_rate()
         yield from self.check_units(self.signal_unit)
-        apart = {"hann": 2.0, "boxcar": 1.0}[self.averaging.window] / self.averaging.segment
-        if self.lines.step_hz < apart * (1 - 1e-9):
+        asked = self.averaging
+        apart = {"hann": 2.0, "boxcar": 1.0}[asked.window] / asked.segment
+        if asked.step_hz < apart * (1 - 1e-9):
             yield (
-                f"lines.step_hz must be {write_number(apart, digits=3)} or more for segments of "
-                f"{self.averaging.segment:g} s, since nearer lines share their noise, but got {self.lines.step_hz:g}: "
-                "take longer segments (averaging.segment), or fewer lines"
+                f"averaging.step_hz must be {write_number(apart, digits=3)} or more for segments of {asked.segment:g} "
+                f"s, since nearer lines share their noise, but got {asked.step_hz:g}: take longer segments, or fewer "
+                "lines"
             )
         if any(getattr(self, key) for key in ("baseline", "speeds", "slow_roll", "conditions_file")):
             yield "must have no baseline, speeds, slow_roll or conditions_file for an exciter: leave them out"
@@ -145,7 +126,7 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
 
     def state_frequency(self, run: Any) -> dict[str, float | None]:
         """Keys of a simulated run with the middle one of the lines."""
-        wanted = self.lines.wanted()
+        wanted = self.averaging.wanted()
         return {"frequency_hz": float(wanted[len(wanted) // 2])}
 
     def describe(self) -> str:
@@ -172,7 +153,7 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
             made = [measure_spectra(time, force, motions, length, said.window, where) for length in lengths]
             sums = [before + n * spectra for before, (_, spectra, n) in zip(sums, made, strict=True)]
             frequencies, segments = made[0][0], segments + made[0][2]
-        n, wanted = said.count(segments), self.lines.wanted()
+        n, wanted = said.count(segments), said.wanted()
         if n < 3:
             raise DataError(
                 f"run '{run.name}' must have at least 3 segments of {said.segment:g} s, but it has {segments}: record "
@@ -180,14 +161,14 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
             )
         if wanted[-1] > frequencies[-1]:
             raise DataError(
-                f"run '{run.name}' must be sampled at more than twice lines.stop_hz, but its spectra end at "
+                f"run '{run.name}' must be sampled at more than twice averaging.stop_hz, but its spectra end at "
                 f"{frequencies[-1]:g} Hz: give a lower one"
             )
         between = len(lengths)  # lines that segments of all lengths have
         lines = np.unique(between * np.maximum(np.rint(wanted / frequencies[1] / between), 1).astype(int))
         if not (sums[0][0, lines].real > 0).all():
             raise DataError(f"run '{run.name}' must have a force at every line, but has none: check reference.channel")
-        beside = int(self.lines.step_hz / frequencies[1] / 2)
+        beside = int(said.step_hz / frequencies[1] / 2)
         response, noise, coherence = average(sums[0], n, lines, beside, said.estimator)
         for shorter in sums[1:]:  # their leakage is four times as large
             noise = np.hypot(noise, np.abs(average(shorter, n, lines // 2, 0, said.estimator)[0] - response) / 3)
@@ -196,16 +177,14 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
             order, size = to_motion(self.signal_unit, probe.scale)
             response[:, p] = to_displacement(size * response[:, p], order, w)
             noise[:, p] *= abs(size) / w**order
-        speed = run.speed_rpm * RAD_S_PER_RPM
-        return FrequencyResponse(run, speed, frequencies[lines], response, noise, coherence, n, tuple(notes))
+        return FrequencyResponse(run, frequencies[lines], response, noise, coherence, n, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
     """Motion over force at some lines."""
 
-    run: MeasuredRunConfig
-    speed: float  # rad/s
+    run: ExciterRunConfig
     frequencies: np.ndarray  # (L,) Hz
     response: np.ndarray  # (L, P) complex, m/N
     noise: np.ndarray  # (L, P) m/N, root mean square of what it is off by

@@ -60,28 +60,15 @@ def _find_masses(machine: Machine) -> list[Place]:
             f"seals' stiffness and damping, but got {strange[0]}: name it among machine.rotor.bearing_nodes, too"
         )
     names = [(b, name) for b, node in enumerate(nodes) if node in machine.seal_nodes for name in COEFFICIENTS[:4]]
-    asked = [(b, name) for b, name in names if machine.unknowns.identified[b, COEFFICIENTS.index(name)]]
-    return [Place(f"m{name[1:]} node {nodes[b]}", b, name) for b, name in asked]
+    asked = [(b, name[1:]) for b, name in names if machine.unknowns.identified[b, COEFFICIENTS.index(name)]]
+    return [Place(f"m{axes} node {nodes[b]}", b, axes) for b, axes in asked]
 
 
 def _add_mass(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
-    unit = np.zeros((len(rotor.bearing_nodes), TRANSLATIONS, TRANSLATIONS))
-    unit[parameter.place].flat[COEFFICIENTS.index(parameter.detail)] = parameter.deviation
-    places, mass = bearing_places(replace(rotor, bearing_shifts=())), np.zeros_like(rotor.mass)  # where it is stated
-    for dof, block in zip(places.dof, places.spread(unit), strict=True):
-        mass[np.ix_(dof, dof)] += block
-    return {"mass": mass}
-
-
-def mass_change(parameters: Sequence[ModelParameter], n_bearings: int, frequencies: np.ndarray) -> np.ndarray:
-    """(S, B, 8, T) what one deviation of each parameter adds to the bearings at ``frequencies`` w (S,) rad/s, where a
-    mass m is the stiffness ``-w^2 m``."""
-    result = np.zeros((len(frequencies), n_bearings, len(COEFFICIENTS), len(parameters)))
-    for t, parameter in enumerate(parameters):
-        if parameter.row.local:
-            c = COEFFICIENTS.index(parameter.detail)
-            result[:, parameter.place, c, t] = -(frequencies**2) * parameter.deviation
-    return result
+    """At the bearing's node, as it is stated."""
+    loads = bearing_places(replace(rotor, bearing_shifts=())).loads(rotor.n_dof)
+    first, second = (loads[:, TRANSLATIONS * parameter.place + "xy".index(axis)] for axis in parameter.detail)
+    return {"mass": parameter.deviation * np.outer(first, second)}
 
 
 def drift_scales(parameters: Sequence[ModelParameter], runs: Sequence[str], n_bearings: int) -> np.ndarray:
@@ -102,7 +89,7 @@ KINDS = (
         places=_find_masses,
         missing="no identified stiffness at identify.seal_nodes",
         unit="kg",
-        local=True,
+        local="m",
         rotor=_add_mass,
     ),
     Kind(

@@ -153,8 +153,7 @@ def describe_responses(
         each = dict(zip(recordings.probes, coherence, strict=True))
         runs[test.run.name] = {"lines": len(hz), "averages": test.averages, "coherence": each}
         shown = [write_number(value, digits=3) for value in (test.averages, min(coherence))]
-        rpm = f"{to_rpm(np.array(test.speed)):g}"
-        rows.append([test.run.name, rpm, str(len(hz)), f"{hz[0]:g} to {hz[-1]:g}", *shown])
+        rows.append([test.run.name, f"{test.run.speed_rpm:g}", str(len(hz)), f"{hz[0]:g} to {hz[-1]:g}", *shown])
     notes = [note for test in tests for note in test.notes]
     return Ingested(
         data,

@@ -62,7 +62,7 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
         standing.append(rs.BearingElement(node, kxx=stiffness, cxx=0.0, mxx=mass, tag="coupling"))
     masses_added = {(p.place, p.detail): p.shift for p in parameters if p.kind == "added_mass"}
     for place in {place for place, _ in masses_added}:
-        added = {f"m{name[1:]}": masses_added.get((place, name), 0.0) for name in COEFFICIENTS[:4]}
+        added = {f"m{axes}": masses_added.get((place, axes), 0.0) for axes in ("xx", "xy", "yx", "yy")}
         node = bearings.nodes[place]
         standing.append(rs.BearingElement(node, kxx=0.0, cxx=0.0, **added, tag=f"added mass of node {node}"))
     return rs.Rotor(shaft, discs, standing, masses)

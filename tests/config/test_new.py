@@ -36,6 +36,8 @@ KINDS = [
     ("fluid_film", "simulated", "base", "relative"),
     ("fluid_film", "recordings", "base", "casing"),
     ("rolling", "tables", "pedestals", "both"),
+    ("rolling", "exciter", "none", "shaft"),
+    ("fluid_film", "exciter", "pedestals", "casing"),
 ]
 
 
@@ -95,8 +97,6 @@ def test_new_replaces_nothing(folder: Path) -> None:
         run_stage(compose_config(["stage=new"]))
     with refused("must end in .yaml", kind=ConfigError):
         made_by_new(folder / "rig.txt")
-    with refused("new: must have supports (pedestals or base) where probes=casing", kind=ConfigError):
-        made_by_new(folder / "rig.yaml", "new.probes=casing")
     with refused("a command of its own", kind=ConfigError):
         compose_stages(["stage=[new,train]", given_by(folder / "x.yaml")])
     with refused("new.data: must be one of these", "did you mean 'tables'?", kind=ConfigError):

@@ -40,14 +40,13 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
             folder / f"{i}.npz", force=0.0225 * felt[keep], **{name: values[keep] for name, values in shown.items()}
         )
         paths.append(str(folder / f"{i}.npz"))
-    averaging = {"segment": 2.0, **changes.get("averaging", {})}
+    averaging = {"segment": 2.0, "start_hz": 10, "stop_hz": 90, "step_hz": 2} | changes.get("averaging", {})
     config = ExciterRecordingsConfig.model_validate(
         {
             "format": "exciter",
             "signal_unit": "um",
             "sample_rate": RATE,
-            "reference": {"channel": "force", "unit": "V", "scale": "22.5 mV/N"},
-            "lines": {"start_hz": 10, "stop_hz": 90, "step_hz": 2, **changes.get("lines", {})},
+            "reference": {"channel": "force", "size": "1 V / (22.5 mV/N)"},
             "averaging": averaging,
             "probes": PROBES,
             "runs": [{"name": "push", "files": paths, "node": 0, "angle": "0 deg"}],
@@ -75,7 +74,7 @@ def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     time, boxcar = np.arange(int(4 * RATE)) / RATE, {"averaging": {"window": "boxcar", "segment": 4.0}}
     blows = [np.exp(-(((time - 0.05) / 0.002) ** 2)) * size for size in (20, 30, 25, 28, 22, 26)]
     steps = [np.sin(2 * np.pi * hz * np.arange(int(16 * RATE)) / RATE) for hz in range(30, 72, 2)]
-    settled = boxcar | {"keep": slice(int(4 * RATE), None), "lines": {"start_hz": 30, "stop_hz": 70}}
+    settled = {"keep": slice(int(4 * RATE), None), "averaging": boxcar["averaging"] | {"start_hz": 30, "stop_hz": 70}}
     forces, changes, averages = {
         "random": ([push(240)], {}, 225),
         "impacts": (blows, boxcar, 6),
@@ -105,12 +104,12 @@ def test_what_can_not_be_averaged_is_told(folder: Path) -> None:
         read(folder, [push(2)])
     with refused("must be as long as a segment (2 s)"):
         read(folder, [push(1)])
-    with refused("more than twice lines.stop_hz"):
-        read(folder, [push(20)], lines={"stop_hz": 3000})
+    with refused("more than twice averaging.stop_hz"):
+        read(folder, [push(20)], averaging={"stop_hz": 3000})
     with refused("must have a force at every line"):
         read(folder, [np.zeros(80000)])
-    with refused("lines.step_hz must be 1 or more", kind=ValueError):
-        read(folder, [push(20)], lines={"step_hz": 0.5})
+    with refused("averaging.step_hz must be 1 or more", kind=ValueError):
+        read(folder, [push(20)], averaging={"step_hz": 0.5})
 
 
 @pytest.mark.slow
@@ -139,9 +138,8 @@ def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.C
         "format": "exciter",
         "signal_unit": "m",
         "sample_rate": RATE,
-        "reference": {"channel": "force", "unit": "N"},
-        "lines": {"start_hz": 20, "stop_hz": 220, "step_hz": 5},
-        "averaging": {"segment": 1.0},
+        "reference": {"channel": "force", "size": "1 N"},
+        "averaging": {"segment": 1.0, "start_hz": 20, "stop_hz": 220, "step_hz": 5},
         "known": {key: 0 for key in ("kxy", "kyx", "cxy", "cyx")},
         "probes": {
             f"{n}{d}": {"node": n, "angle": f"{90 * i} deg", "channel": f"{n}{d}"}
