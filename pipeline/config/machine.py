@@ -120,12 +120,6 @@ def _turn(runs: Sequence[RunConfig], speed: float) -> list[UnbalanceConfig]:
     return [weight.model_copy(update={"phase": weight.phase + math.pi / 2}) for weight in weights]
 
 
-def _slant(forces: Sequence[ForceConfig]) -> list[ForceConfig]:
-    """The forces along a line that is half a right angle further, from x towards y."""
-    turn = {"forward": math.pi / 4, "backward": -math.pi / 4}
-    return [force.model_copy(update={"phase": force.phase + turn[force.whirl]}) for force in forces]
-
-
 class TitleBlock(Section):
     """Who the report of a machine is for and by whom: what is blank is left out of it."""
 
@@ -187,7 +181,9 @@ class MachineConfig(Section):
         if middle:
             turned = {"unbalances": _turn(info.data["runs"], middle * RAD_S_PER_RPM)}
         else:  # nothing turns
-            turned = {"forces": _slant(first.forces), "frequency_hz": first.frequency_hz}
+            turn = {"forward": math.pi / 2, "backward": 0.0}  # both: a force along a line, 45 deg further
+            later = [force.model_copy(update={"phase": force.phase + turn[force.whirl]}) for force in first.forces]
+            turned = {"forces": later, "frequency_hz": first.frequency_hz}
         at = {"node": (*turned.get("unbalances", ()), *first.forces)[0].node, "speed_rpm": middle} | turned
         return PredictionConfig.model_validate(at | dict(value or {}))
 

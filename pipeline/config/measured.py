@@ -26,8 +26,6 @@ from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, Unbalan
 from pipeline.config.section import Section, rule
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from pipeline.ingest.exciter import FrequencyResponse
     from pipeline.ingest.order_tracking import Signals
     from pipeline.ingest.records import Records
@@ -122,15 +120,6 @@ class MeasuredRunConfig(Section):
     operating: Conditions = Field(default_factory=dict)
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()
-
-    @property
-    def asynchronous(self) -> bool:
-        """True where the response has a frequency of its own."""
-        return False
-
-    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
-        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
-        return speeds
 
     def sources(self, file: str | None) -> tuple[str, ...]:
         """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.config.measured import MeasuredRunConfig
 from pipeline.config.runs import CandidateConfig, RunConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.tables import read_table, write_table
@@ -84,7 +85,7 @@ def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, colum
 # --- runs that an experimenter could make ---------------------------------------------------------
 
 
-def run_excitations(run: RunConfig) -> tuple[Excitation, ...]:
+def run_excitations(run: RunConfig | MeasuredRunConfig) -> tuple[Excitation, ...]:
     """What acts in a configured run."""
     weights = [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
     forces = [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]

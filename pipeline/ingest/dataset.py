@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, NoRecordingsConfig, SlowRollConfig
+from pipeline.config.runs import find_frequencies
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
@@ -71,7 +72,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
-    asynchronous = {run.name for run in config.runs if run.asynchronous}
+    asynchronous = {run.name for run in config.runs if any(config.state_frequency(run).values())}
     if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
@@ -99,7 +100,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         channels,
         displacement,
         tuple(acting),
-        np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
+        np.stack([find_frequencies(run, speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
     dataset = recorded
     if conditions:

@@ -58,14 +58,6 @@ class AveragingConfig(Section):
 
     _span = ascending("start_hz", "stop_hz")
 
-    def wanted(self) -> np.ndarray:
-        """(L,) Hz."""
-        return np.arange(self.start_hz, self.stop_hz + self.step_hz / 2, self.step_hz)
-
-    def count(self, segments: int, tie: float = 1 / 36) -> float:
-        """Independent averages: periodograms of neighbours that overlap by half have so much in common (Welch 1967)."""
-        return segments / (1 + 2 * tie * (segments - 1) / segments) if self.window == "hann" else float(segments)
-
 
 class ExciterRunConfig(SignalRunConfig):
     """One place and direction of the force, at a constant speed of the rotor."""
@@ -78,16 +70,11 @@ class ExciterRunConfig(SignalRunConfig):
     @classmethod
     def _push(cls, value: Any) -> Any:
         """A force along a line is half a forward and half a backward one."""
-        if not isinstance(value, Mapping) or not {"node", "angle"} <= value.keys() or "forces" in value:
+        if not isinstance(value, Mapping) or not {"node", "angle"} <= value.keys():
             return value
-        turned = str(value["angle"]).strip()
-        opposite = turned[1:] if turned.startswith("-") else f"-{turned}"
-        half = {"node": value["node"], "magnitude": "0.5 N"}
-        forward, backward = (
-            half | {"phase": turned, "whirl": "forward"},
-            half | {"phase": opposite, "whirl": "backward"},
-        )
-        return dict(value) | {"forces": (forward, backward)}
+        phases = {"forward": value["angle"], "backward": f"-({value['angle']})"}
+        half = {"node": value["node"], "magnitude": 0.5}
+        return {"forces": [half | {"phase": phase, "whirl": whirl} for whirl, phase in phases.items()]} | dict(value)
 
 
 class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
@@ -105,7 +92,6 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
 
     @rule
     def _lawful(self) -> Iterator[str]:
-        yield from self.check_rate()
         yield from self.check_units(self.signal_unit)
         asked = self.averaging
         apart = {"hann": 2.0, "boxcar": 1.0}[asked.window] / asked.segment
@@ -125,24 +111,21 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
         return SpeedsConfig(start_rpm=rpm[0], stop_rpm=rpm[-1], step_rpm=rpm[-1] - rpm[0] or 1.0)
 
     def state_frequency(self, run: Any) -> dict[str, float | None]:
-        """Keys of a simulated run with the middle one of the lines."""
-        wanted = self.averaging.wanted()
-        return {"frequency_hz": float(wanted[len(wanted) // 2])}
+        """Keys of a simulated run with the middle of the frequencies."""
+        return {"frequency_hz": (self.averaging.start_hz + self.averaging.stop_hz) / 2}
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""
-        said = self.averaging
-        return (
-            f"{said.estimator} of signals in {self.signal_unit} over {self.reference.channel}, {said.segment:g} s each"
-        )
+        return f"{self.averaging.estimator} of signals in {self.signal_unit} over {self.reference.channel}"
 
     def read_responses(self) -> tuple[FrequencyResponse, ...]:
         """The averages of each run, over all its files. Raises DataError for files that do not suffice."""
         return tuple(map(self._average, self.runs))
 
-    def _average(self, run: ExciterRunConfig) -> FrequencyResponse:
+    def _average(self, run: ExciterRunConfig, tie: float = 1 / 36) -> FrequencyResponse:
+        """Periodograms of neighbours that overlap by half have the share ``tie`` in common (Welch 1967)."""
         names, said = {name: probe.channel for name, probe in self.probes.items()}, self.averaging
-        lengths = [said.segment / part for part in ((1, 2) if said.window == "hann" else (1,))]
+        lengths = [said.segment / shorter for shorter in ((1, 2) if said.window == "hann" else (1,))]
         sums, segments, notes = [np.zeros(())] * len(lengths), 0, list[str]()
         for path in map(Path, run.sources(self.file)):
             time, channels, read = self.read_channels(path, run, [self.reference.channel, *names.values()])
@@ -153,12 +136,13 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
             made = [measure_spectra(time, force, motions, length, said.window, where) for length in lengths]
             sums = [before + n * spectra for before, (_, spectra, n) in zip(sums, made, strict=True)]
             frequencies, segments = made[0][0], segments + made[0][2]
-        n, wanted = said.count(segments), said.wanted()
+        n = segments / (1 + 2 * tie * (segments - 1) / segments * (said.window == "hann"))
         if n < 3:
             raise DataError(
                 f"run '{run.name}' must have at least 3 segments of {said.segment:g} s, but it has {segments}: record "
                 "longer, or take shorter ones (averaging.segment)"
             )
+        wanted = np.arange(said.start_hz, said.stop_hz + said.step_hz / 2, said.step_hz)
         if wanted[-1] > frequencies[-1]:
             raise DataError(
                 f"run '{run.name}' must be sampled at more than twice averaging.stop_hz, but its spectra end at "

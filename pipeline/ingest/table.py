@@ -65,15 +65,6 @@ class TableRunConfig(MeasuredRunConfig):
     frequency_hz: PositiveFloat | None = None
     frequency_ratio: PositiveFloat | None = None
 
-    @property
-    def asynchronous(self) -> bool:
-        """True where the response has a frequency of its own."""
-        return bool(self.frequency_hz or self.frequency_ratio)
-
-    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
-        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
-        return find_frequencies(self, speeds)
-
     _synchronous = rule(check_frequency)
 
 
@@ -200,7 +191,7 @@ def _make_track(
     order, size = to_motion(said.unit, config.probes[probe].scale)
     vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
     speeds = table[config.columns.speed] * RAD_S[said.speed]
-    shown = to_displacement(vectors, order, run.frequencies(speeds))
+    shown = to_displacement(vectors, order, find_frequencies(run, speeds))
     return sort_track(speeds, shown, where, at_rest=bool(run.frequency_hz))
 
 

@@ -200,8 +200,8 @@ class StoredSignalsConfig(Section):
     sample_rate_attribute: Text | None = None
     csv: CsvConfig = CsvConfig()
 
-    def check_rate(self) -> Iterator[str]:
-        """What is wrong with what the times of samples follow from."""
+    @rule
+    def _timed(self) -> Iterator[str]:
         rates = [self.time, self.sample_rate, self.sample_rate_attribute]
         if sum(map(bool, rates)) > 1:
             yield "must give at most one of time, sample_rate and sample_rate_attribute, but got several"
@@ -233,7 +233,6 @@ class WaveformRecordingsConfig(StoredSignalsConfig, SignalConfig):
     @rule
     def _lawful(self) -> Iterator[str]:
         yield from self.check_signals()
-        yield from self.check_rate()
         for run in self.runs:
             if run.sample_rate and self.time:
                 yield f"run '{run.name}' must have no sample_rate where there is a time channel, but it has"

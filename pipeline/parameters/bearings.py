@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.quantities import Mass
-from pipeline.errors import ConfigError
 from pipeline.parameters.kind import Kind, Machine, Place, PositiveShare
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
@@ -52,16 +51,10 @@ def known_variation(parameters: Sequence[ModelParameter], known: BearingTable) -
 
 
 def _find_masses(machine: Machine) -> list[Place]:
-    """Of each stiffness that is identified at a seal. Raises ConfigError for one without coefficients."""
-    nodes = machine.rotor.bearing_nodes
-    if strange := [node for node in machine.seal_nodes if node not in nodes]:
-        raise ConfigError(
-            f"identify.seal_nodes must be bearing nodes of the rotor ({', '.join(map(str, nodes))}), which have the "
-            f"seals' stiffness and damping, but got {strange[0]}: name it among machine.rotor.bearing_nodes, too"
-        )
-    names = [(b, name) for b, node in enumerate(nodes) if node in machine.seal_nodes for name in COEFFICIENTS[:4]]
-    asked = [(b, name[1:]) for b, name in names if machine.unknowns.identified[b, COEFFICIENTS.index(name)]]
-    return [Place(f"m{axes} node {nodes[b]}", b, axes) for b, axes in asked]
+    """Of each stiffness that is identified at a seal."""
+    nodes, asked = machine.rotor.bearing_nodes, np.argwhere(machine.unknowns.identified[:, :4])
+    places = [(int(b), COEFFICIENTS[c][1:]) for b, c in asked if nodes[b] in machine.seal_nodes]
+    return [Place(f"m{axes} node {nodes[b]}", b, axes) for b, axes in places]
 
 
 def _add_mass(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
@@ -87,7 +80,7 @@ KINDS = (
         meaning="of the mass that the fluid adds at each of seal_nodes, in the directions whose stiffness is "
         "identified; none is stated",
         places=_find_masses,
-        missing="no identified stiffness at identify.seal_nodes",
+        missing="no bearing at identify.seal_nodes whose stiffness is identified",
         unit="kg",
         local="m",
         rotor=_add_mass,

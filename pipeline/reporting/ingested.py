@@ -147,13 +147,25 @@ def describe_responses(
     recordings: MeasuredConfig, data: VibrationDataset, tests: Sequence[FrequencyResponse]
 ) -> Ingested:
     """Responses to a force; the figure has each probe's over the frequency, and its coherence."""
-    rows, runs = [], {}
-    for test in tests:
-        hz, coherence = test.frequencies, np.median(test.coherence, axis=0).tolist()
-        each = dict(zip(recordings.probes, coherence, strict=True))
-        runs[test.run.name] = {"lines": len(hz), "averages": test.averages, "coherence": each}
-        shown = [write_number(value, digits=3) for value in (test.averages, min(coherence))]
-        rows.append([test.run.name, f"{test.run.speed_rpm:g}", str(len(hz)), f"{hz[0]:g} to {hz[-1]:g}", *shown])
+    medians = [np.median(test.coherence, axis=0) for test in tests]
+    rows = [
+        [
+            test.run.name,
+            f"{test.run.speed_rpm:g}",
+            str(len(test.frequencies)),
+            f"{test.frequencies[0]:g} to {test.frequencies[-1]:g}",
+            write_number(test.averages, digits=3),
+            write_number(coherence.min(), digits=3),
+        ]
+        for test, coherence in zip(tests, medians, strict=True)
+    ]
+    runs = {
+        test.run.name: {
+            "averages": test.averages,
+            "coherence": dict(zip(recordings.probes, each.tolist(), strict=True)),
+        }
+        for test, each in zip(tests, medians, strict=True)
+    }
     notes = [note for test in tests for note in test.notes]
     return Ingested(
         data,

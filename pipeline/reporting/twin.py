@@ -70,16 +70,17 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
 
 def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:
     """The modes at the only speed there is, up to what excited them."""
-    modes, (hz_std, decrement_std), summary = behaviour.modes, list_deviations(behaviour), {}
-    for i in np.flatnonzero(find_reached(modes)[0]).tolist():
-        numbers = {
-            "hz": modes.frequency[0, i] / RAD_S_PER_HERTZ,
-            "hz_std": hz_std[0, i] / RAD_S_PER_HERTZ,
-            "logarithmic_decrement": modes.logarithmic_decrement[0, i],
-            "logarithmic_decrement_std": decrement_std[0, i],
-        }
-        summary[f"{i + 1}"] = {key: float(value) for key, value in numbers.items() if np.isfinite(value)}
-    return summary
+    modes, (hz_std, decrement_std) = behaviour.modes, list_deviations(behaviour)
+    numbers = {
+        "hz": modes.frequency[0] / RAD_S_PER_HERTZ,
+        "hz_std": hz_std[0] / RAD_S_PER_HERTZ,
+        "logarithmic_decrement": modes.logarithmic_decrement[0],
+        "logarithmic_decrement_std": decrement_std[0],
+    }
+    return {
+        f"{i + 1}": {key: float(values[i]) for key, values in numbers.items() if np.isfinite(values[i])}
+        for i in np.flatnonzero(find_reached(modes)[0]).tolist()
+    }
 
 
 def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:

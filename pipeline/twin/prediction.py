@@ -93,7 +93,7 @@ def add_deviation(
         by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)
         by_model = by_model + np.einsum("sdbc,sbct->sdt", by_coefficient, measurement.known_variation)
         slopes = np.concatenate([slopes, by_model], axis=-1)
-    direction = predicted.displacement.conj() / np.abs(predicted.displacement)
+    direction = predicted.displacement.conj() / np.maximum(np.abs(predicted.displacement), np.finfo(float).tiny)
     in_phase = (direction[..., None] * slopes).real
     variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.machine_covariance, in_phase, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))

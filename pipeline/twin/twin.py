@@ -47,7 +47,7 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
 
     Raises ConfigError for conditions, nodes or a speed that the machine lacks, and for an unbalance that a run has.
     """
-    dataset, unseen, asked = measurement.dataset, list_unseen(machine), machine.prediction
+    dataset, unseen, asked = measurement.dataset, run_excitations(machine.prediction), machine.prediction
     operating = asked.operating or pick_middle(dataset.operating)
     require_conditions(OPERATING, operating, dataset.operating)
     operating = {name: operating[name] for name in dataset.operating}
@@ -65,7 +65,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
 
     Raises ConfigError as :func:`plan_twin`, and for conditions that nothing says the coefficients at.
     """
-    stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
+    stated, unseen, node = answer.measurement, run_excitations(machine.prediction), machine.prediction.node
     operating, speeds, at = plan_twin(machine, stated)
     points, identified = evaluate_at(answer.model, stated, operating, OPERATING, speeds)
     truth, w = _truth_at(machine, stated, modelled, operating, speeds), find_frequencies(machine.prediction, speeds)
@@ -131,17 +131,12 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
     w = find_frequencies(machine.prediction, dataset.speeds)
-    shares = find_shares(dataset, runs, list_unseen(machine), w, bool(measurement.unknowns.planes))
+    shares = find_shares(dataset, runs, run_excitations(machine.prediction), w, bool(measurement.unknowns.planes))
     if not all(len(row) for row in rows):
         return f"no probes show x and y of node {node}"
     if shares is None:
         return "the unbalance is no sum of the runs' unbalances"
     return (dataset.displacement @ shares) @ resolution[np.concatenate(rows)].T
-
-
-def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:
-    """What the twin is judged by, as one run."""
-    return run_excitations(machine.prediction)
 
 
 def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
@@ -162,7 +157,7 @@ def measure_unseen(
     None without a truth, and where this rotor lacks the prediction's nodes, a run has the very unbalance, or an answer
     is not finite.
     """
-    unseen, node, rotor = list_unseen(machine), machine.prediction.node, measurement.rotor
+    unseen, node, rotor = run_excitations(machine.prediction), machine.prediction.node, measurement.rotor
     lacks = max(node, *(force.node for force in unseen)) >= rotor.n_places
     if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations) is not None:
         return None

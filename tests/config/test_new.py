@@ -65,11 +65,10 @@ def test_a_template_composes(bearings: str, data: str, supports: str, probes: st
     assert config.name == "rig_2"
     ground = {"none": (0, 0), "pedestals": (2, 0), "base": (0, 2)}
     assert (len(config.machine.rotor.supports), len(config.machine.rotor.base.points)) == ground[supports]
-    motions = {"shaft": {"shaft"}, "both": {"casing", "shaft relative to casing"}, "casing": {"casing"}}
-    if probes != "shaft":
-        simulated = data == "simulated"
-        listed = config.machine.probes.at if simulated else config.machine.recordings.probes.values()
-        assert {probe.measures for probe in listed} == motions.get(probes, {"shaft relative to casing"})
+    listed = config.machine.probes.at if data == "simulated" else config.machine.recordings.probes.values()
+    relative = "shaft relative to casing"
+    motions = {"both": {"casing", relative}, "casing": {"casing"}, "relative": {relative}}
+    assert probes == "shaft" or {probe.measures for probe in listed} == motions[probes]
     if data == "processed":  # its speeds and runs are those of the files
         assert config.machine.speeds.model_dump() == {"start_rpm": 1500, "stop_rpm": 5800, "step_rpm": 100}
         assert [len(run.unbalances) for run in config.machine.runs] == [1, 1, 2]

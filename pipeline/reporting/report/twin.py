@@ -26,7 +26,7 @@ from pipeline.reporting.content import FitContent, ReportContent, list_reservati
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.summary import describe_stability
-from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, show, summarize_modes
+from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import write_number
@@ -62,16 +62,12 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
             )
             for text in fit.beyond
         ),
-        _list_critical_speeds(speeds, identified),
+        _list_critical_speeds(speeds, identified["critical_speeds"]),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(speeds) > 1 else ()),
     ]
 
 
-def _list_critical_speeds(speeds: np.ndarray, modes: Mapping[str, Any]) -> Table | str:
-    critical, natural = modes["critical_speeds"], modes.get("modes", {})
-    if natural:
-        rows = [[number, show(mode, "hz"), show(mode, "logarithmic_decrement")] for number, mode in natural.items()]
-        return Table(f"Natural frequencies at {write_range(speeds)}", ["mode", "Hz", "log decrement"], rows)
+def _list_critical_speeds(speeds: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
     if not critical:
         return f"No damped natural frequency equals the rotor speed from {write_range(speeds)}."
     return Table(
