@@ -176,15 +176,12 @@ class MachineConfig(Section):
             return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
         rpm = info.data["speeds"].rpm()
         middle = rpm[len(rpm) // 2]
-        first = info.data["runs"][0]
-        turned: dict[str, Any]
-        if middle:
-            turned = {"unbalances": _turn(info.data["runs"], middle * RAD_S_PER_RPM)}
-        else:  # nothing turns
-            turn = {"forward": math.pi / 2, "backward": 0.0}  # both: a force along a line, 45 deg further
-            later = [force.model_copy(update={"phase": force.phase + turn[force.whirl]}) for force in first.forces]
-            turned = {"forces": later, "frequency_hz": first.frequency_hz}
-        at = {"node": (*turned.get("unbalances", ()), *first.forces)[0].node, "speed_rpm": middle} | turned
+        first, turn = info.data["runs"][0], {"forward": math.pi / 2, "backward": 0.0}
+        # Where nothing turns, both make a force along a line that stands 45 deg further.
+        later = [force.model_copy(update={"phase": force.phase + turn[force.whirl]}) for force in first.forces]
+        weights = _turn(info.data["runs"], middle * RAD_S_PER_RPM) if middle else []
+        acting: dict[str, Any] = {"forces": later, "frequency_hz": first.frequency_hz}
+        at = {"node": (*weights, *later)[0].node, "speed_rpm": middle} | ({"unbalances": weights} if middle else acting)
         return PredictionConfig.model_validate(at | dict(value or {}))
 
     @rule

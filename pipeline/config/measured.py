@@ -299,7 +299,7 @@ class MeasuredConfig(AnyRecordingsConfig):
 
     def state_frequency(self, run: Any) -> dict[str, float | None]:
         """Keys of a simulated run with the frequency of a recorded one, where that is not the rotor's."""
-        return {}
+        return {key: getattr(run, key, None) for key in ("frequency_hz", "frequency_ratio")}
 
     @property
     def most_lag(self) -> float:

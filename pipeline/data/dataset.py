@@ -89,8 +89,8 @@ class VibrationDataset:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
-        noise = self.noise if self.noise.any() else None
-        for more in (self.own_frequencies, self.subtracted, None if self.complete else self.present, noise):
+        arrays = (self.own_frequencies, self.subtracted, None if self.complete else self.present)
+        for more in (*arrays, self.noise if self.noise.any() else None):
             if more is not None:
                 digest.update(np.ascontiguousarray(more).tobytes())
         for name, values in self.operating.items():

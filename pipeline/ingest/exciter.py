@@ -148,20 +148,19 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
                 f"run '{run.name}' must be sampled at more than twice averaging.stop_hz, but its spectra end at "
                 f"{frequencies[-1]:g} Hz: give a lower one"
             )
-        between = len(lengths)  # lines that segments of all lengths have
-        lines = np.unique(between * np.maximum(np.rint(wanted / frequencies[1] / between), 1).astype(int))
+        # Segments of all lengths have these lines.
+        lines = np.unique(len(lengths) * np.maximum(np.rint(wanted / frequencies[1] / len(lengths)), 1).astype(int))
         if not (sums[0][0, lines].real > 0).all():
             raise DataError(f"run '{run.name}' must have a force at every line, but has none: check reference.channel")
-        beside = int(said.step_hz / frequencies[1] / 2)
-        response, noise, coherence = average(sums[0], n, lines, beside, said.estimator)
+        reach = int(said.step_hz / frequencies[1] / 2)
+        response, noise, coherence = average(sums[0], n, lines, reach, said.estimator)
         for shorter in sums[1:]:  # their leakage is four times as large
             noise = np.hypot(noise, np.abs(average(shorter, n, lines // 2, 0, said.estimator)[0] - response) / 3)
-        w = 2 * np.pi * frequencies[lines]
-        for p, probe in enumerate(self.probes.values()):
-            order, size = to_motion(self.signal_unit, probe.scale)
-            response[:, p] = to_displacement(size * response[:, p], order, w)
-            noise[:, p] *= abs(size) / w**order
-        return FrequencyResponse(run, frequencies[lines], response, noise, coherence, n, tuple(notes))
+        ones, w = np.ones(len(lines), dtype=complex), 2 * np.pi * frequencies[lines]
+        units = [to_motion(self.signal_unit, probe.scale) for probe in self.probes.values()]
+        metres = np.stack([to_displacement(size * ones, order, w) for order, size in units], axis=1)
+        measured = (metres * response, np.abs(metres) * noise, coherence)
+        return FrequencyResponse(run, frequencies[lines], *measured, n, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)

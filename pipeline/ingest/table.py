@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -95,10 +95,6 @@ class TableRecordingsConfig(MeasuredConfig):
             for column, times in Counter(pair.amplitude for pair in pairs if pair).items():
                 if times > 1:
                     yield f"each probe must have columns of its own, but {times} have '{column}': correct one"
-
-    def state_frequency(self, run: Any) -> dict[str, float | None]:
-        """Keys of a simulated run with the frequency of a recorded one, where that is not the rotor's."""
-        return {"frequency_hz": run.frequency_hz, "frequency_ratio": run.frequency_ratio}
 
     def describe(self) -> str:
         """What the numbers in the files are taken for."""

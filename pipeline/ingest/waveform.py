@@ -215,9 +215,8 @@ class StoredSignalsConfig(Section):
 
         A ``rate`` (Hz) takes the place of the configured one. Raises DataError.
         """
-        text = self.csv.on(run.sheet)
-        times = (self.time, self.time_unit, rate or self.sample_rate, self.sample_rate_attribute)
-        time, channels = read_recording(path, wanted, text, *times)
+        text, times = self.csv.on(run.sheet), (self.time, self.time_unit, rate or self.sample_rate)
+        time, channels = read_recording(path, wanted, text, *times, self.sample_rate_attribute)
         said = describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
         return time, channels, said
 

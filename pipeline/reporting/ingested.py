@@ -166,10 +166,9 @@ def describe_responses(
         }
         for test, each in zip(tests, medians, strict=True)
     }
-    notes = [note for test in tests for note in test.notes]
     return Ingested(
         data,
-        {**_summarize(recordings, data, data.speeds), "runs": runs, "notes": notes},
+        {**_summarize(recordings, data, data.speeds), "runs": runs, "notes": [n for test in tests for n in test.notes]},
         lambda figure: [draw_responses(figure("ingest_responses"), tuple(recordings.probes), tests)],
         ["run", "rpm", "lines", "Hz", "averages", "lowest coherence (median over lines)"],
         rows,

@@ -318,11 +318,8 @@ def draw_modes(behaviour: Mapping[str, Behaviour], state: str = "", highest: flo
     lines, the identified one as markers. ``state`` names the operating conditions.
     """
     speeds, margin = behaviour["identified"].modes.speeds, behaviour["identified"].margin
-    highest_seen, beside = (
-        max(2.0 * float(speeds.max()), behaviour["identified"].modes.highest),
-        f", {state}" if state else "",
-    )
-    rpm, top = to_rpm(speeds), highest_seen / RAD_S_PER_RPM
+    highest_seen = max(2.0 * float(speeds.max()), behaviour["identified"].modes.highest)
+    rpm, top, beside = to_rpm(speeds), highest_seen / RAD_S_PER_RPM, f", {state}" if state else ""
     frequencies = [Curve(rpm, rpm, "1X", BLACK, width=1.0)]
     decrements: list[Curve] = []
     for name, machine in behaviour.items():

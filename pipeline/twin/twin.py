@@ -6,7 +6,7 @@ Legend: S speeds, B bearings.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,8 +55,10 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
     speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
     alike = np.isclose(dataset.frequencies, find_frequencies(asked, dataset.speeds)[:, None]).any(axis=0)
     if (run := find_same_run(unseen, dataset.of_runs(np.flatnonzero(alike)).excitations)) is not None:
-        what = "unbalances must be an unbalance" if asked.unbalances else "forces must be a force"
-        raise ConfigError(f"machine.prediction.{what} that training never saw, but run '{run}' is the same")
+        raise ConfigError(
+            f"machine.prediction.{'unbalances' if asked.unbalances else 'forces'} must be {asked.what} that training "
+            f"never saw, but run '{run}' is the same"
+        )
     return operating, speeds, at
 
 
@@ -142,11 +144,9 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
 def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
-    def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
-        return {(e.kind, e.node, e.magnitude, e.phase, e.whirl) for e in forces}
-
+    wanted = {replace(excitation, run="") for excitation in unseen}
     runs = dict.fromkeys(e.run for e in seen)
-    return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
+    return next((run for run in runs if {replace(e, run="") for e in seen if e.run == run} == wanted), None)
 
 
 def measure_unseen(

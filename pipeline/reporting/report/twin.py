@@ -165,7 +165,7 @@ def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
     ) + "; ".join(f"node {force.node}: {force.magnitude:g} N, {force.whirl}" for force in asked.forces)
     stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
     told = f"({acting}){',' * bool(fit.state)}{fit.state}{stated}"
-    kind = "1X amplitude" if asked.unbalances else "amplitude"
-    caption = f"Predicted {kind} of node {asked.node} under {asked.what} that no run has {told}."
+    order = "1X " * bool(asked.unbalances)
+    caption = f"Predicted {order}amplitude of node {asked.node} under {asked.what} that no run has {told}."
     axes = Axes(draw_sizes(twin.vibration, 1.0), AMPLITUDE, quantity="amplitude")
     return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])
