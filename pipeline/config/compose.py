@@ -280,6 +280,7 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
     if look_up(composed, "data").get("vibration") or recordings.get("format", "none") != "none":
         baseline = recordings.get("baseline")
         more = [f"data.baseline='{baseline}'"] if isinstance(baseline, str) else []
+        more += ["model=constant"] if recordings.get("format") == "exciter" else []  # at a speed or two
         return [f"experiment={DEFAULTS}{option}_measured", *more]
     noise = {key: probes.get(key) for key in ("additive", "multiplicative")}
     stated = noise if any(map(_is_noise, noise.values())) else {}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
+from pydantic import Field, NonNegativeFloat, ValidationInfo, field_validator
 
 from pipeline.config.balance import WeightsConfig
 from pipeline.config.operating import Conditions, States
@@ -21,17 +21,28 @@ from pipeline.rotor.bearings import BearingConfig, RotorFileBearingConfig
 from pipeline.units import RAD_S_PER_RPM
 
 
-class PredictionConfig(Section):
-    """An unbalance that training never saw, and where and when to look at its vibration.
+class PredictionConfig(RunConfig):
+    """An unbalance, or a force, that training never saw, and where and when to look at its vibration.
 
     ``operating`` are the conditions of the prediction, measured or not (SI); of data with conditions the middle ones
     where it is not given.
     """
 
+    name: Literal["prediction"] = "prediction"
     node: NonNegativeInt
-    speed_rpm: PositiveFloat
-    unbalances: tuple[UnbalanceConfig, ...] = Field(min_length=1)
+    speed_rpm: NonNegativeFloat
     operating: Conditions = Field(default_factory=dict)
+
+    @property
+    def what(self) -> str:
+        """An unbalance, or a force and its frequency."""
+        return (
+            f"a force at {self.frequency_hz:g} Hz"
+            if self.frequency_hz
+            else "an unbalance"
+            if self.unbalances
+            else "a force"
+        )
 
 
 _ANY_RUN = RunConfig(name="x", forces=(ForceConfig(node=0, magnitude=1.0),))
@@ -57,9 +68,9 @@ def _save_bearings(rotor: RotorConfig) -> RotorFileBearingConfig:
 
 
 def _record_speeds(recordings: RecordingsConfig) -> SpeedsConfig:
-    if not recordings.speeds:
+    if not recordings.stated_speeds:
         raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
-    return recordings.speeds
+    return recordings.stated_speeds
 
 
 def _record_runs(recordings: RecordingsConfig) -> list[RunConfig]:
@@ -79,8 +90,7 @@ def _record_runs(recordings: RecordingsConfig) -> list[RunConfig]:
                 for unbalance in run.unbalances
             ),
             forces=tuple(ForceConfig(**force.model_dump()) for force in run.forces),
-            frequency_hz=getattr(run, "frequency_hz", None),
-            frequency_ratio=getattr(run, "frequency_ratio", None),
+            **recordings.state_frequency(run),
         )
         for run in excited.values()
     ]
@@ -166,8 +176,12 @@ class MachineConfig(Section):
             return value or PredictionConfig(node=0, speed_rpm=1, unbalances=(UnbalanceConfig(node=0, magnitude=1.0),))
         rpm = info.data["speeds"].rpm()
         middle = rpm[len(rpm) // 2]
-        turned = _turn(info.data["runs"], middle * RAD_S_PER_RPM)
-        at = {"node": turned[0].node, "speed_rpm": middle, "unbalances": turned}
+        first, turn = info.data["runs"][0], {"forward": math.pi / 2, "backward": 0.0}
+        # Where nothing turns, both make a force along a line that stands 45 deg further.
+        later = [force.model_copy(update={"phase": force.phase + turn[force.whirl]}) for force in first.forces]
+        weights = _turn(info.data["runs"], middle * RAD_S_PER_RPM) if middle else []
+        acting: dict[str, Any] = {"forces": later, "frequency_hz": first.frequency_hz}
+        at = {"node": (*weights, *later)[0].node, "speed_rpm": middle} | ({"unbalances": weights} if middle else acting)
         return PredictionConfig.model_validate(at | dict(value or {}))
 
     @rule
@@ -212,6 +226,7 @@ class MachineConfig(Section):
         turning += [("balance.planes", plane.node) for plane in (self.balance.planes if self.balance else ())]
         still = [(f"run '{run.name}'", force.node) for run in self.runs for force in run.forces]
         still += [("prediction.node", self.prediction.node)]
+        still += [("prediction.forces", force.node) for force in self.prediction.forces]
         if not isinstance(self.probes.at, str):
             still += [("probes.at", probe.node) for probe in self.probes.at]
         n_nodes = self.rotor.n_nodes  # with casings, which do not turn

@@ -26,8 +26,7 @@ from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, Unbalan
 from pipeline.config.section import Section, rule
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from pipeline.ingest.exciter import FrequencyResponse
     from pipeline.ingest.order_tracking import Signals
     from pipeline.ingest.records import Records
     from pipeline.ingest.tracks import RunTracks
@@ -122,15 +121,6 @@ class MeasuredRunConfig(Section):
     unbalances: tuple[MeasuredUnbalanceConfig, ...] = ()
     forces: tuple[MeasuredForceConfig, ...] = ()
 
-    @property
-    def asynchronous(self) -> bool:
-        """True where the response has a frequency of its own."""
-        return False
-
-    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
-        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
-        return speeds
-
     def sources(self, file: str | None) -> tuple[str, ...]:
         """The files of this run; ``file`` is that of the runs that name none. Raises ValueError where there is none."""
         if not (self.file or file):
@@ -213,6 +203,9 @@ class AnyRecordingsConfig(Section):
         def runs(self) -> Sequence[MeasuredRunConfig]:
             """Each with what excited it; one may come several times, at other operating conditions."""
 
+    by_frequency: ClassVar[bool] = False
+    """Whether a run is a response to a force at many frequencies."""
+
     @property
     def vectors(self) -> VectorConventionsConfig:
         """The meaning of the vectors of records; um zero-to-peak, phase lead for recordings of runs."""
@@ -234,6 +227,10 @@ class AnyRecordingsConfig(Section):
         """The time signals of a run, a value a file, in m; none where there are vectors alone. Raises DataError."""
         return []
 
+    def read_responses(self) -> tuple[FrequencyResponse, ...]:
+        """The averages of each run, of recordings that are :attr:`by_frequency`. Raises DataError."""
+        raise NotImplementedError(f"recordings of format {self.format} have no measured force")
+
     def read_records(self, file: str | None = None) -> Records:
         """The records of a table that states :attr:`planes`, or of another ``file`` like it. Raises DataError."""
         raise NotImplementedError(f"recordings of format {self.format} state no planes")  # callers ask for these first
@@ -248,6 +245,7 @@ class NoRecordingsConfig(AnyRecordingsConfig):
     made_by: ClassVar[Literal["generate"]] = "generate"
     file: ClassVar[None] = None
     speeds: ClassVar[None] = None
+    stated_speeds: ClassVar[None] = None
     shaft_angle: ClassVar[None] = None
     tacho: ClassVar[TachoAngleConfig] = TachoAngleConfig()
     probes: ClassVar[Mapping[str, MeasuredProbeConfig]] = {}
@@ -293,6 +291,15 @@ class MeasuredConfig(AnyRecordingsConfig):
 
     recorded: ClassVar[Literal[True]] = True
     made_by: ClassVar[Literal["ingest"]] = "ingest"
+
+    @property
+    def stated_speeds(self) -> SpeedsConfig | None:
+        """The speeds that the recordings themselves state."""
+        return self.speeds
+
+    def state_frequency(self, run: Any) -> dict[str, float | None]:
+        """Keys of a simulated run with the frequency of a recorded one, where that is not the rotor's."""
+        return {key: getattr(run, key, None) for key in ("frequency_hz", "frequency_ratio")}
 
     @property
     def most_lag(self) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
@@ -18,10 +18,10 @@ from pipeline.units import RAD_S_PER_RPM
 
 
 class SpeedsConfig(Section):
-    """Rotor speeds from ``start_rpm`` to ``stop_rpm`` inclusive."""
+    """Rotor speeds from ``start_rpm`` to ``stop_rpm`` inclusive; 0 of a rotor at rest."""
 
-    start_rpm: PositiveFloat
-    stop_rpm: PositiveFloat
+    start_rpm: NonNegativeFloat
+    stop_rpm: NonNegativeFloat
     step_rpm: PositiveFloat
 
     _span = ascending("start_rpm", "stop_rpm")
@@ -82,6 +82,12 @@ def check_frequency(run: Any) -> Iterator[str]:
             f"run '{run.name}' must have no unbalances where its forces have a frequency of their own (unbalances turn "
             "with the rotor), but it has some: put them into another run"
         )
+
+
+def find_frequencies(run: Any, speeds: np.ndarray) -> np.ndarray:
+    """(S,) rad/s of what happens in a ``run`` at the rotor ``speeds`` (S,) rad/s."""
+    hz, ratio = run.frequency_hz, run.frequency_ratio
+    return 0 * speeds + 2 * np.pi * hz if hz else speeds * (ratio or 1.0)
 
 
 class NoiseConfig(Section):

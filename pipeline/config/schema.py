@@ -79,11 +79,14 @@ class ExportConfig(Section):
 
 
 class NewConfig(Section):
-    """``stage=new`` writes a machine file for this kind of bearings and this source of data, or for that of a file of a
-    logger (``from``), filled with what is recognised in it."""
+    """``stage=new`` writes a machine file for this kind of bearings, what they stand on, what the probes measure the
+    motion of, and this source of data, or for that of a file of a logger (``from``), filled with what is recognised in
+    it."""
 
     bearings: Literal["rolling", "fluid_film"]
-    data: Literal["recordings", "tables", "processed", "simulated"]
+    supports: Literal["none", "pedestals", "base"] = "none"
+    probes: Literal["shaft", "relative", "casing", "both"] = "shaft"
+    data: Literal["recordings", "tables", "exciter", "processed", "simulated"]
     source: str | None = Field(default=None, alias="from")
 
 

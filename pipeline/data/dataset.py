@@ -30,6 +30,8 @@ SYNCHRONOUS = 0.01
 exactly, and each record has its own."""
 EVERYWHERE = np.ones((1, 1), dtype=bool)
 """Every run was measured at every point."""
+UNSTATED = np.zeros((1, 1, 1))
+"""No reading states its own noise."""
 Kind = Literal["unbalance", "force"]
 Whirl = Literal["forward", "backward"]
 
@@ -60,6 +62,7 @@ class VibrationDataset:
     conditions: tuple[str, ...] | None = None  # (R,) the condition that a run repeats; None where each is its own
     operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
     present: np.ndarray = field(default_factory=lambda: EVERYWHERE)  # (S, R) bool: which runs were measured where
+    noise: np.ndarray = field(default_factory=lambda: UNSTATED)  # (S, P, R) m, rms of a reading's own; 0: as stated
 
     def __post_init__(self) -> None:
         shape = (len(self.speeds), len(self.runs))
@@ -86,7 +89,8 @@ class VibrationDataset:
             digest.update(repr(self.conditions).encode())
         digest.update(np.ascontiguousarray(self.speeds).tobytes())
         digest.update(np.ascontiguousarray(self.displacement).tobytes())
-        for more in (self.own_frequencies, self.subtracted, None if self.complete else self.present):
+        arrays = (self.own_frequencies, self.subtracted, None if self.complete else self.present)
+        for more in (*arrays, self.noise if self.noise.any() else None):
             if more is not None:
                 digest.update(np.ascontiguousarray(more).tobytes())
         for name, values in self.operating.items():
@@ -113,6 +117,7 @@ class VibrationDataset:
             subtracted=None if subtracted is None else subtracted[speeds][..., where],
             operating={name: values[speeds] for name, values in self.operating.items()},
             present=self.present[speeds][:, where],
+            noise=self.noise[speeds][..., where] if self.noise.any() else UNSTATED,
             **beside,
         )
 

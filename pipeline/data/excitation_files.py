@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.runs import CandidateConfig
+from pipeline.config.measured import MeasuredRunConfig
+from pipeline.config.runs import CandidateConfig, RunConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import DataError
@@ -82,6 +83,13 @@ def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, colum
 
 
 # --- runs that an experimenter could make ---------------------------------------------------------
+
+
+def run_excitations(run: RunConfig | MeasuredRunConfig) -> tuple[Excitation, ...]:
+    """What acts in a configured run."""
+    weights = [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
+    forces = [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
+    return (*weights, *forces)
 
 
 Runs = tuple[tuple[Excitation, ...], ...]

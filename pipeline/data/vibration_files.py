@@ -8,7 +8,8 @@ needs it: each frequency of its force is a run; along x push a forward and a bac
 column ``condition`` names what was on the machine in each run: runs of one condition repeat each other. The order of
 the rows means nothing. Further columns are operating conditions (:mod:`pipeline.config.operating`), such as
 ``oil_temperature_degC``: a run may have a speed once at each of them. A run has all channels at each of its speeds, and
-need not have the speeds of others.
+need not have the speeds of others. A column ``deviation_m`` is the root mean square of a reading's own noise, in place
+of the stated one where it is not blank.
 Excitation: see :mod:`pipeline.data.excitation_files`.
 """
 
@@ -23,6 +24,7 @@ import numpy as np
 
 from pipeline.data.dataset import (
     DIRECTIONS,
+    UNSTATED,
     Excitation,
     VibrationDataset,
     name_direction,
@@ -52,6 +54,7 @@ _VIBRATION = {
 }
 _FREQUENCY = "frequency_hz"
 _CONDITION = "condition"
+_DEVIATION = "deviation_m"
 
 
 def to_rpm(speeds: np.ndarray) -> np.ndarray:
@@ -105,6 +108,8 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
     }
     if dataset.own_frequencies is not None:
         columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
+    if dataset.noise.any():
+        columns[_DEVIATION] = dataset.noise.transpose(2, 0, 1).ravel()
     if dataset.conditions:
         columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
     if not dataset.complete:
@@ -165,7 +170,7 @@ def read_measured(
     Of the ``n_nodes`` so many are casings, for each of which a probe may have one number more, of the shaft less it.
     Operating conditions that differ by no more than ``same`` says (SI, by name) are taken for one, their mean.
     """
-    optional = {_FREQUENCY: "number or blank", _CONDITION: "text"}
+    optional = {_FREQUENCY: "number or blank", _CONDITION: "text", _DEVIATION: "number or blank"}
     table, operating = read_with_conditions(vibration, _VIBRATION, optional)
     excitations = read_excitations(excitation, n_nodes)
     nodes = read_nodes(table["node"], vibration, n_nodes and n_nodes + n_casings)
@@ -201,6 +206,11 @@ def read_measured(
                 f"'{vibration}' must have the rotor's frequency in runs with an unbalance, but run '{load.run}' has "
                 "another: give its force as kind 'force', or leave the frequency out"
             )
+    if (dataset.noise < 0).any() or (baseline and dataset.noise.any()):
+        raise DataError(
+            f"'{vibration}' must have a {_DEVIATION} above zero, and none where a baseline is subtracted, whose noise "
+            f"all runs share, but has: correct it, or leave out {f'data.baseline={baseline}' if baseline else 'it'}"
+        )
     return subtract_baseline(dataset, baseline) if baseline else dataset
 
 
@@ -256,6 +266,10 @@ def _assemble(
     displacement = np.zeros(shape, dtype=complex)
     values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
     displacement[at_point, at_channel.ravel(), at_run] = values
+    noise = UNSTATED
+    if _DEVIATION in table:
+        noise = np.zeros(shape)
+        noise[at_point, at_channel.ravel(), at_run] = np.nan_to_num(table[_DEVIATION])
     speeds = rpm * RAD_S_PER_RPM
     frequencies = None
     if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
@@ -270,6 +284,7 @@ def _assemble(
         conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
         operating=operating,
         present=present,
+        noise=noise,
     )
 
 

@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.runs import find_frequencies
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.operating import split_states
 from pipeline.data.tables import write_table
 from pipeline.export.coefficients import BRIEF, NAMES, Document, Exported, Number, document, list_conventions, tabulate
@@ -25,7 +27,6 @@ from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
-from pipeline.twin.twin import list_unseen
 from pipeline.write_numbers import write_number
 
 _ANSYS_NAMES = dict(zip(COEFFICIENTS, ("K11", "K12", "K21", "K22", "C11", "C12", "C21", "C22"), strict=True))
@@ -191,7 +192,8 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
     """The rotor and each bearing, a file a state, and their deviations; how far ROSS's smoothing moves the response."""
     from pipeline.rotor.ross_export import export_rotor, make_bearings, read_table
 
-    rotor, asked, off = config.machine.rotor, (list_unseen(config.machine), config.machine.prediction.node), []
+    rotor, prediction, off = config.machine.rotor, config.machine.prediction, []
+    asked = run_excitations(prediction), prediction.node, find_frequencies(prediction, states[0].table.speeds)
     for exported in states:
         made = export_rotor(rotor, updated.parameters, exported.table)
         made.save(folder / f"rotor{exported.suffix}.toml")

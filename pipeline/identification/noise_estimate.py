@@ -40,7 +40,8 @@ def reshape_noise(
     """
     measurement, predicted = problem.measurement, problem.predicted(weights)
     noise, data = measurement.noise, measurement.dataset
-    if measurement.drift or not noise.additive or not noise.multiplicative or _leave_over(problem, weights)[1] < small:
+    told = noise.additive and noise.multiplicative and not measurement.drift and not data.noise.any()
+    if not told or _leave_over(problem, weights)[1] < small:
         return problem
     stated = replace(problem, readings=problem.readings.follow(predicted))
     if not _leave_over(stated, weights)[1] < large:

@@ -232,7 +232,8 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
     for b, predicted in enumerate(problem.predicted(weights)):
         runs, measured = problem.readings.runs[b], problem.readings.measured[b][0].numpy()
         # All runs had the same baseline taken off: its noise cancels.
-        deviation = problem.measurement.deviation_of(predicted[0].numpy() + problem.measurement.baseline[..., runs])
+        taken = problem.measurement.baseline[..., runs]
+        deviation = problem.measurement.deviation_of(predicted[0].numpy() + taken, runs=runs)
         here = problem.readings.present(b).numpy()[:, 0] > 0  # (S, R)
         last: dict[tuple[Excitation, ...], int] = {}
         for r, run in enumerate(runs):

@@ -127,7 +127,11 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
             for (node, angle), f in zip(channels, fit.factor, strict=True)
         }
         noise, size = fit.problem.measurement.noise, float(np.median(fit.factor))
-        summary["noise"] = {"additive_um": 1e6 * size * noise.additive, "multiplicative": size * noise.multiplicative}
+        if not fit.problem.measurement.dataset.noise.any():
+            summary["noise"] = {
+                "additive_um": 1e6 * size * noise.additive,
+                "multiplicative": size * noise.multiplicative,
+            }
     return Quality({"fit": summary}, bad, measure_inflation(summary, estimated and not repeated))
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.parameters.bearings import BASELINE, drift_scales
-from pipeline.parameters.ground import softening, support_change
+from pipeline.parameters.ground import local_change, softening
 from pipeline.problem.baseline import add_baseline
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import (
@@ -127,7 +127,7 @@ class Readings:
     def deviation(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
         """(.., S, P, R) m of the ``predicted`` readings of block b; ``factor`` (P,) over the stated noise."""
         return self.measurement.deviation_of(
-            predicted, self.measurement.baseline[..., self.runs[b]], factor, alone=True
+            predicted, self.measurement.baseline[..., self.runs[b]], factor, alone=True, runs=self.runs[b]
         )
 
     def departure(self, b: int, predicted: np.ndarray, factor: np.ndarray | float = 1.0) -> np.ndarray:
@@ -160,7 +160,7 @@ class Readings:
         counted = tuple(shares) or (np.ones(1),) * len(self.runs)
         for b, expected in enumerate(predicted):
             taken = measurement.baseline[..., self.runs[b]]
-            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor, alone=True)
+            alone = measurement.deviation_of(expected.numpy() + taken, factor=factor, alone=True, runs=self.runs[b])
             precision.append(torch.as_tensor(np.sqrt(2.0 * counted[b]) / alone) * self.present(b))
             if measurement.noise.record:
                 records.append(measurement.noise.record * expected * precision[-1])
@@ -248,8 +248,8 @@ class SensorModel:
 
         measurement, slopes = self.measurement, []
         for block in self.blocks:
-            changes = support_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
-            every = np.concatenate([measurement.known_variation, changes], axis=1)
+            every = local_change(measurement.parameters, measurement.rotor, block.frequencies.numpy())
+            every[:, : len(measurement.rotor.bearing_nodes)] += measurement.known_variation
             slopes.append(torch.as_tensor(every.reshape(len(every), len(self._influence), len(self.solved_at))))
         return tuple(slopes)
 
@@ -259,6 +259,13 @@ class SensorModel:
         import torch
 
         return torch.tensor([p.growth for p in self.measurement.parameters], dtype=torch.float64)
+
+    @cached_property
+    def _spread(self) -> torch.Tensor:
+        """(T,) one for what acts by the rotor's matrices, zero for what acts where bearings and casings stand alone."""
+        import torch
+
+        return torch.tensor([not p.row.local for p in self.measurement.parameters], dtype=torch.float64)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, T) by how many deviations each number is off: supports grow with the exponential of their parameter."""
@@ -308,7 +315,7 @@ class SensorModel:
         """
         import torch
 
-        shift = (parameters - self.solved_at) * (self._growth == 0)
+        shift = (parameters - self.solved_at) * self._spread
         steps = self._step(parameters) - self._step(self.solved_at)
         known = self._known + (self._known_slopes[b] @ steps[:, None, :, None])[..., 0]
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
@@ -392,7 +399,7 @@ class SensorModel:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
         if placed.variation is not None:
             by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
-            by_parameters = by_model * (self._growth == 0) + by_parameters
+            by_parameters = by_model * self._spread + by_parameters
         return response.sensors, by_numbers, by_planes, by_parameters
 
 

@@ -26,7 +26,7 @@ of it that makes the configured edge of the pulse.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.data.dataset import Excitation
+from pipeline.data.excitation_files import run_excitations
 from pipeline.units import RAD_S_PER_RPM
 
 _TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
@@ -79,20 +80,8 @@ def to_displacement(vectors: np.ndarray, order: int, frequencies: np.ndarray) ->
 
 def list_acting(config: MeasuredConfig, run: MeasuredRunConfig) -> list[Excitation]:
     """What excited a run; the phases of unbalances as angles from x at the pulse."""
-    acting = [
-        Excitation(
-            run.name,
-            "unbalance",
-            unbalance.node,
-            unbalance.magnitude,
-            config.angle_from_x(unbalance.phase),
-        )
-        for unbalance in run.unbalances
-    ]
-    forces = [
-        Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
-    ]
-    return acting + forces
+    turned = [(excitation, config.angle_from_x(excitation.phase)) for excitation in run_excitations(run)]
+    return [replace(each, phase=phase) if each.kind == "unbalance" else each for each, phase in turned]
 
 
 # --- back to what a table of records is written in ------------------------------------------------

@@ -19,10 +19,12 @@ import numpy as np
 from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, NoRecordingsConfig, SlowRollConfig
+from pipeline.config.runs import find_frequencies
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import list_acting, to_vectors
+from pipeline.ingest.exciter import ExciterRecordingsConfig, FrequencyResponse
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
 from pipeline.ingest.records import RecordsConfig
@@ -41,6 +43,7 @@ RecordingsConfig = Annotated[
     | RecordsConfig
     | UffRecordingsConfig
     | WaveformRecordingsConfig
+    | ExciterRecordingsConfig
     | RossRecordingsConfig,
     Field(discriminator="format"),
 ]
@@ -69,7 +72,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
-    asynchronous = {run.name for run in config.runs if run.asynchronous}
+    asynchronous = {run.name for run in config.runs if any(config.state_frequency(run).values())}
     if config.slow_roll:  # runout turns with the shaft
         slow = config.slow_roll
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
@@ -97,7 +100,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         channels,
         displacement,
         tuple(acting),
-        np.stack([run.frequencies(speeds) for run in config.runs], axis=1) if asynchronous else None,
+        np.stack([find_frequencies(run, speeds) for run in config.runs], axis=1) if asynchronous else None,
     )
     dataset = recorded
     if conditions:
@@ -117,6 +120,34 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         if not set(list_directions((node,))) <= set(channels)
     ]
     return MeasuredRuns(dataset, recorded, runs, _join_alike(notes), sweeps)
+
+
+def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -> VibrationDataset:
+    """Responses to 1 N: each line of each of the ``tests`` is a run, with the noise of its readings."""
+    rpm, at_speed = np.unique([test.run.speed_rpm for test in tests], return_inverse=True)
+    lines = [(t, hz) for t, test in enumerate(tests) for hz in test.frequencies]
+    names = [f"{tests[t].run.name} {write_number(hz, digits=8)} Hz" for t, hz in lines]
+    channels, shares, _ = resolve(config.probes, np.eye(len(config.probes))[..., None])  # (P, Q, 1)
+    where, rows = at_speed[[t for t, _ in lines]], np.arange(len(lines))
+    displacement = np.zeros((len(rpm), len(channels), len(lines)), dtype=complex)
+    noise = np.zeros(displacement.shape)
+    displacement[where, :, rows] = np.concatenate([test.response for test in tests]) @ shares[..., 0]
+    noise[where, :, rows] = np.sqrt(np.concatenate([test.noise for test in tests]) ** 2 @ shares[..., 0] ** 2)
+    acting = [
+        replace(excitation, run=name)
+        for (t, _), name in zip(lines, names, strict=True)
+        for excitation in list_acting(config, tests[t].run)
+    ]
+    return VibrationDataset(
+        rpm * RAD_S_PER_RPM,
+        tuple(names),
+        channels,
+        displacement,
+        tuple(acting),
+        np.tile([2 * np.pi * hz for _, hz in lines], (len(rpm), 1)),
+        present=where == np.arange(len(rpm))[:, None],
+        noise=noise,
+    )
 
 
 def _join_alike(notes: Sequence[str]) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ Wide: a row a speed, two columns a probe. Long: a row a run, probe and speed.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +23,7 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
-from pipeline.config.runs import check_frequency
+from pipeline.config.runs import check_frequency, find_frequencies
 from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.data.tables import Columns, is_csv, read_table
@@ -65,16 +64,6 @@ class TableRunConfig(MeasuredRunConfig):
     columns: dict[str, ColumnPairConfig] = Field(default_factory=dict)
     frequency_hz: PositiveFloat | None = None
     frequency_ratio: PositiveFloat | None = None
-
-    @property
-    def asynchronous(self) -> bool:
-        """True where the response has a frequency of its own."""
-        return bool(self.frequency_hz or self.frequency_ratio)
-
-    def frequencies(self, speeds: np.ndarray) -> np.ndarray:
-        """(S,) rad/s of the vibration at the rotor ``speeds`` (S,) rad/s."""
-        hz, ratio = self.frequency_hz, self.frequency_ratio
-        return 0 * speeds + 2 * math.pi * hz if hz else speeds * (ratio or 1.0)
 
     _synchronous = rule(check_frequency)
 
@@ -198,7 +187,8 @@ def _make_track(
     order, size = to_motion(said.unit, config.probes[probe].scale)
     vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
     speeds = table[config.columns.speed] * RAD_S[said.speed]
-    return sort_track(speeds, to_displacement(vectors, order, run.frequencies(speeds)), where)
+    shown = to_displacement(vectors, order, find_frequencies(run, speeds))
+    return sort_track(speeds, shown, where, at_rest=bool(run.frequency_hz))
 
 
 def _note_unit(phases: np.ndarray, unit: str, path: Path, broad: float = 2.0) -> tuple[str, ...]:

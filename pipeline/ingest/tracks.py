@@ -62,12 +62,14 @@ def unpack_tracks(content: bytes) -> RunTracks:
     return RunTracks(name, source, tracks, slow, tuple(notes), np.array(times) if times else None)
 
 
-def sort_track(speeds: np.ndarray, vectors: np.ndarray, where: str, fastest: float = 1e5) -> Track:
-    """A track of rows in any order.
+def sort_track(
+    speeds: np.ndarray, vectors: np.ndarray, where: str, fastest: float = 1e5, at_rest: bool = False
+) -> Track:
+    """A track of rows in any order; of a force of its own frequency the rotor may be ``at_rest``.
 
     Raises DataError for impossible speeds (above ``fastest``, rad/s) and sizes, and speeds there twice.
     """
-    if (speeds <= 0).any():
+    if (speeds < 0).any() or (not at_rest and (speeds == 0).any()):
         raise DataError(f"{where} must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
     if (speeds > fastest).any():
         raise DataError(f"{where} must have speeds of a rotor, but got {format_rpm(speeds.max())} rpm: check the unit")

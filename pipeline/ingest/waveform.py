@@ -21,14 +21,14 @@ from pipeline.config.measured import (
 )
 from pipeline.config.motion import SignalUnit, to_motion
 from pipeline.config.quantities import Frequency
-from pipeline.config.section import rule
+from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import DataError
 from pipeline.files import hash_file, hash_parts, keep, look_up
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
 from pipeline.ingest.plausibility import note_clipping
-from pipeline.ingest.recordings import read_recording
+from pipeline.ingest.recordings import Channels, read_recording
 from pipeline.ingest.table import note_cut
 from pipeline.ingest.tacho import find_pulses, fit_angle
 from pipeline.ingest.tracks import RunTracks, Track, format_rpm, sort_track, unpack_tracks
@@ -188,30 +188,50 @@ class WaveformRunConfig(SignalRunConfig):
     sample_rate: Frequency | None = None
 
 
-class WaveformRecordingsConfig(SignalConfig):
-    """Time signals with a tacho: CSV, Excel, HDF5 or TDMS, by the file's ending.
+class StoredSignalsConfig(Section):
+    """Time signals in CSV, Excel, HDF5 or TDMS, by the file's ending.
 
     Time is a channel (``time``), ``sample_rate``, the HDF5 attribute ``sample_rate_attribute`` in Hz, or TDMS's own.
     """
 
-    format: Literal["waveform"]
-    tacho: TachoConfig
     time: Text | None = None
     time_unit: Literal["s", "ms", "us"] | None = None
     sample_rate: Frequency | None = None
     sample_rate_attribute: Text | None = None
     csv: CsvConfig = CsvConfig()
+
+    @rule
+    def _timed(self) -> Iterator[str]:
+        rates = [self.time, self.sample_rate, self.sample_rate_attribute]
+        if sum(map(bool, rates)) > 1:
+            yield "must give at most one of time, sample_rate and sample_rate_attribute, but got several"
+        if self.time and not self.time_unit:
+            yield "must give time_unit (s, ms or us) of the time channel, but it is missing"
+
+    def read_channels(
+        self, path: Path, run: MeasuredRunConfig, wanted: list[str], rate: float | None = None
+    ) -> tuple[np.ndarray, Channels, tuple[str, ...]]:
+        """Times (n,) s and the ``wanted`` channels (n,) of a file of a run, and what is to be said of the file.
+
+        A ``rate`` (Hz) takes the place of the configured one. Raises DataError.
+        """
+        text, times = self.csv.on(run.sheet), (self.time, self.time_unit, rate or self.sample_rate)
+        time, channels = read_recording(path, wanted, text, *times, self.sample_rate_attribute)
+        said = describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else ()
+        return time, channels, said
+
+
+class WaveformRecordingsConfig(StoredSignalsConfig, SignalConfig):
+    """Time signals with a tacho."""
+
+    format: Literal["waveform"]
+    tacho: TachoConfig
     probes: dict[str, WaveformProbeConfig] = Field(min_length=1)
     runs: tuple[WaveformRunConfig, ...] = Field(min_length=1)
 
     @rule
     def _lawful(self) -> Iterator[str]:
         yield from self.check_signals()
-        rates = [self.time, self.sample_rate, self.sample_rate_attribute]
-        if sum(map(bool, rates)) > 1:
-            yield "must give at most one of time, sample_rate and sample_rate_attribute, but got several"
-        if self.time and not self.time_unit:
-            yield "must give time_unit (s, ms or us) of the time channel, but it is missing"
         for run in self.runs:
             if run.sample_rate and self.time:
                 yield f"run '{run.name}' must have no sample_rate where there is a time channel, but it has"
@@ -220,22 +240,13 @@ class WaveformRecordingsConfig(SignalConfig):
         """One file of a run. Raises DataError."""
         tacho = [name for name in (self.tacho.mark_channel, run.tacho or self.tacho.channel) if name]
         names = {name: run.channels.get(name, probe.channel) for name, probe in self.probes.items()}
-        text, wanted = self.csv.on(run.sheet), [*names.values(), *reversed(tacho)]
-        time, channels = read_recording(
-            path,
-            wanted,
-            text,
-            self.time,
-            self.time_unit,
-            run.sample_rate or self.sample_rate,
-            self.sample_rate_attribute,
-        )
+        time, channels, said = self.read_channels(path, run, [*names.values(), *reversed(tacho)], run.sample_rate)
         return Loaded(
             time,
             {name: channels[channel] for name, channel in names.items()},
             tuple((name, channels[name]) for name in tacho),
             self.tacho.pulses_per_revolution,
-            describe_format(path, wanted, text) + note_cut(path) if path.suffix.lower() in (".csv", ".txt") else (),
+            said,
         )
 
 

@@ -5,14 +5,18 @@ Legend: T parameters, S speeds, B bearings, R runs. SI units.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.quantities import Mass
 from pipeline.parameters.kind import Kind, Machine, Place, PositiveShare
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.interpolation import bearing_places
+from pipeline.rotor.model import TRANSLATIONS, RotorModel
 
 if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
@@ -46,6 +50,20 @@ def known_variation(parameters: Sequence[ModelParameter], known: BearingTable) -
     return result
 
 
+def _find_masses(machine: Machine) -> list[Place]:
+    """Of each stiffness that is identified at a seal."""
+    nodes, asked = machine.rotor.bearing_nodes, np.argwhere(machine.unknowns.identified[:, :4])
+    places = [(int(b), COEFFICIENTS[c][1:]) for b, c in asked if nodes[b] in machine.seal_nodes]
+    return [Place(f"m{axes} node {nodes[b]}", b, axes) for b, axes in places]
+
+
+def _add_mass(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
+    """At the bearing's node, as it is stated."""
+    loads = bearing_places(replace(rotor, bearing_shifts=())).loads(rotor.n_dof)
+    first, second = (loads[:, TRANSLATIONS * parameter.place + "xy".index(axis)] for axis in parameter.detail)
+    return {"mass": parameter.deviation * np.outer(first, second)}
+
+
 def drift_scales(parameters: Sequence[ModelParameter], runs: Sequence[str], n_bearings: int) -> np.ndarray:
     """(R, B, T) what one deviation of each parameter adds to one, by which a bearing is scaled in a run."""
     scales = np.zeros((len(runs), n_bearings, len(parameters)))
@@ -56,6 +74,17 @@ def drift_scales(parameters: Sequence[ModelParameter], runs: Sequence[str], n_be
 
 
 KINDS = (
+    Kind(
+        name="added_mass",
+        prior=Mass,
+        meaning="of the mass that the fluid adds at each of seal_nodes, in the directions whose stiffness is "
+        "identified; none is stated",
+        places=_find_masses,
+        missing="no bearing at identify.seal_nodes whose stiffness is identified",
+        unit="kg",
+        local="m",
+        rotor=_add_mass,
+    ),
     Kind(
         name="known_coefficients",
         prior=PositiveShare,

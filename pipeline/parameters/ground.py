@@ -49,18 +49,19 @@ def _hold(parameter: ModelParameter, rotor: RotorModel, matrix: str) -> Mapping[
     return {matrix: held}
 
 
-def support_change(parameters: Sequence[ModelParameter], rotor: RotorModel, frequencies: np.ndarray) -> np.ndarray:
-    """(S, C, 8, T) what one deviation of each parameter changes of the casings' supports, N/m and N s/m.
+def local_change(parameters: Sequence[ModelParameter], rotor: RotorModel, frequencies: np.ndarray) -> np.ndarray:
+    """(S, B + C, 8, T) what one deviation of each parameter changes where bearings and casings stand, N/m and N s/m.
 
     At ``frequencies`` w (S,) rad/s, where a mass m is the stiffness ``-w^2 m``.
     """
-    result = np.zeros((len(frequencies), rotor.n_ground, len(COEFFICIENTS), len(parameters)))
-    letters = {"support_stiffness": "k", "support_damping": "c", "support_mass": "k"}
+    first = len(rotor.bearing_nodes)
+    result = np.zeros((len(frequencies), first + rotor.n_ground, len(COEFFICIENTS), len(parameters)))
     for t, parameter in enumerate(parameters):
-        if parameter.kind in letters:
-            factor = -(frequencies**2) if parameter.kind == "support_mass" else 1.0
-            c = COEFFICIENTS.index(letters[parameter.kind] + 2 * parameter.detail)
-            result[:, parameter.place - rotor.n_nodes, c, t] = parameter.deviation * parameter.stated * factor
+        if letter := parameter.row.local:
+            at = parameter.place if parameter.place < rotor.n_nodes else first + parameter.place - rotor.n_nodes
+            c = COEFFICIENTS.index(letter.replace("m", "k") + (2 * parameter.detail)[:2])
+            factor = -(frequencies**2) if letter == "m" else 1.0
+            result[:, at, c, t] = parameter.deviation * (parameter.stated or 1.0) * factor
     return result
 
 
@@ -101,6 +102,7 @@ KINDS = (
         unit="ln",
         stated_unit="N/m",
         logarithmic=True,
+        local="k",
         rotor=lambda parameter, rotor: _hold(parameter, rotor, "stiffness"),
     ),
     Kind(
@@ -112,6 +114,7 @@ KINDS = (
         unit="ln",
         stated_unit="N s/m",
         logarithmic=True,
+        local="c",
         rotor=lambda parameter, rotor: _hold(parameter, rotor, "damping"),
     ),
     Kind(
@@ -123,6 +126,7 @@ KINDS = (
         unit="ln",
         stated_unit="kg",
         logarithmic=True,
+        local="m",
         rotor=lambda parameter, rotor: _hold(parameter, rotor, "mass"),
     ),
     Kind(

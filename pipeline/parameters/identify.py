@@ -45,12 +45,12 @@ class IdentifyConfig(Section):
     """Which coefficients are unknown, and what ties them together; the others are taken as known.
 
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
-    unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and probes
-    (loss ``response``); a coupling that they name acts at ``coupling_node``. ``known_within`` is a factor: so near to
-    ``known_stiffness`` and ``known_damping`` (null: to their initial guess, from which the fit only starts otherwise)
-    coefficients are expected, one standard deviation of the logarithm (loss ``response``). With ``usual_tolerances``
-    what is never known exactly of shaft, weights and probes, and is not among the model parameters, widens all
-    deviations.
+    unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and
+    probes (loss ``response``); a coupling that they name acts at ``coupling_node``, and an added mass at the
+    bearings of ``seal_nodes``. ``known_within`` is a factor: so near to ``known_stiffness`` and ``known_damping``
+    (null: to their initial guess, from which the fit only starts otherwise) coefficients are expected, one standard
+    deviation of the logarithm (loss ``response``). With ``usual_tolerances`` what is never known exactly of shaft,
+    weights and probes, and is not among the model parameters, widens all deviations.
     """
 
     unknowns: Unknowns = Field(min_length=1)
@@ -59,6 +59,7 @@ class IdentifyConfig(Section):
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
     model_parameters: ModelParametersConfig = ModelParametersConfig()
     coupling_node: NonNegativeInt = 0
+    seal_nodes: Annotated[tuple[NonNegativeInt, ...], Once] = ()
     usual_tolerances: bool = True
     known_within: Annotated[float, Field(gt=1)] | None = None
     known_stiffness: Stiffness | None = None

@@ -49,6 +49,7 @@ class Machine:
     known: BearingTable
     unknowns: UnknownSet
     coupling_node: int = 0
+    seal_nodes: Collection[int] = ()
 
     @cached_property
     def discs(self) -> list[Place]:
@@ -98,6 +99,7 @@ class Kind:
     scope: Literal["machine", "runs", "run"] = "machine"  # it acts always, in all measured runs, or on a reading or run
     logarithmic: bool = False  # theta is the logarithm of the number over what is stated
     mirrored: bool = False  # in the mirrored machine its sign is the other one
+    local: Literal["", "k", "c", "m"] = ""  # stiffness, damping or mass that acts where bearings or casings stand alone
     rotor: Callable[[ModelParameter, RotorModel], Mapping[str, np.ndarray]] = lambda _, __: {}
     """What one deviation changes of the rotor's matrices, by their names."""
     move: Callable[[RotorModel, int, float], RotorModel] | None = None

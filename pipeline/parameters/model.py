@@ -110,12 +110,13 @@ def model_parameters(
     known: BearingTable,
     unknowns: UnknownSet,
     coupling_node: int = 0,
+    seal_nodes: Collection[int] = (),
 ) -> tuple[ModelParameter, ...]:
     """The parameters of a machine: one for each disc, weight, probe and known coefficient.
 
     ``deviations`` has prior standard deviations by kind. Raises ConfigError for a kind that the machine does not have.
     """
-    machine, parameters = Machine(rotor, dataset, known, unknowns, coupling_node), list[ModelParameter]()
+    machine, parameters = Machine(rotor, dataset, known, unknowns, coupling_node, seal_nodes), list[ModelParameter]()
     for name, deviation in deviations.items():
         kind_parameters = _make(name, deviation, machine)
         for parameter in kind_parameters:

@@ -13,10 +13,12 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import AS_MODELLED, KnownConfig
+from pipeline.config.runs import find_frequencies
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_known
 from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.operating import Operating, group_rows, spread_states
 from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions, measure, name_channel
 from pipeline.data.simulate import simulate
@@ -147,16 +149,7 @@ def find_idle(bearings: BearingTable) -> list[str]:
 
 def configure_excitations(config: Config) -> tuple[Excitation, ...]:
     """The configured runs."""
-    acting: list[Excitation] = []
-    for run in config.machine.runs:
-        acting += [
-            Excitation(run.name, "unbalance", unbalance.node, unbalance.magnitude, unbalance.phase)
-            for unbalance in run.unbalances
-        ]
-        acting += [
-            Excitation(run.name, "force", force.node, force.magnitude, force.phase, force.whirl) for force in run.forces
-        ]
-    return tuple(acting)
+    return tuple(excitation for run in config.machine.runs for excitation in run_excitations(run))
 
 
 def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
@@ -177,13 +170,7 @@ def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | No
     runs = config.machine.runs
     if not any(run.frequency_hz or run.frequency_ratio for run in runs):
         return None
-    columns = [
-        np.full(len(speeds), 2 * np.pi * run.frequency_hz)
-        if run.frequency_hz
-        else speeds * (run.frequency_ratio or 1.0)
-        for run in runs
-    ]
-    return np.stack(columns, axis=1)
+    return np.stack([find_frequencies(run, speeds) for run in runs], axis=1)
 
 
 def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDataset, known: BearingTable) -> Measurement:
@@ -222,6 +209,8 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
         ),
         drift=drift,
         laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),
-        parameters=model_parameters(stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node),
+        parameters=model_parameters(
+            stated_numbers, rotor, dataset, known, unknowns, identify.coupling_node, identify.seal_nodes
+        ),
         tolerances=usual_tolerances(stated_numbers, rotor, dataset, known, unknowns) if usual else (),
     )

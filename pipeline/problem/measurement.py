@@ -142,15 +142,19 @@ class Measurement:
         factor: np.ndarray | float = 1.0,
         alone: bool = False,
         least: float = 1e-15,
+        runs: np.ndarray | slice = slice(None),
     ) -> np.ndarray:
-        """(.., S, P, R) m of readings of another size, that a ``baseline`` was taken off.
+        """(.., S, P, R) m of readings of another size of these ``runs``, that a ``baseline`` was taken off.
 
         ``factor`` (P,) is a channel's deviation over the stated one. ``alone`` leaves out what all readings of a record
         share. A reading of zero without additive noise would have none at all: it has the ``least``.
         """
         if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
-        size = self.noise.deviation(displacement, np.asarray(baseline)) * np.asarray(factor)[..., None]
+        size, stated = self.noise.deviation(displacement, np.asarray(baseline)), self.dataset.noise
+        if stated.any():
+            size = np.where(stated[..., runs] > 0, stated[..., runs], size)
+        size = size * np.asarray(factor)[..., None]
         record = 0.0 if alone else self.noise.record
         return np.asarray(np.maximum(np.hypot(size, record * np.abs(displacement)), least))
 

@@ -14,8 +14,15 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.operating import describe_points, list_columns
 from pipeline.data.vibration_files import to_rpm
 from pipeline.ingest.dataset import MeasuredRuns
+from pipeline.ingest.exciter import FrequencyResponse
 from pipeline.reporting.console import say, table
-from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits, draw_records, group_speeds
+from pipeline.reporting.measured_figures import (
+    draw_bode,
+    draw_measured_orbits,
+    draw_records,
+    draw_responses,
+    group_speeds,
+)
 from pipeline.sweep.bias import SweepBias
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
@@ -133,6 +140,39 @@ def describe_records(recordings: MeasuredConfig, data: VibrationDataset) -> Inge
         rows,
         f"{counts['records']} records of {counts['conditions']} conditions at {len(data.speeds)} speeds, "
         f"{len(data.channels)} probes",
+    )
+
+
+def describe_responses(
+    recordings: MeasuredConfig, data: VibrationDataset, tests: Sequence[FrequencyResponse]
+) -> Ingested:
+    """Responses to a force; the figure has each probe's over the frequency, and its coherence."""
+    medians = [np.median(test.coherence, axis=0) for test in tests]
+    rows = [
+        [
+            test.run.name,
+            f"{test.run.speed_rpm:g}",
+            str(len(test.frequencies)),
+            f"{test.frequencies[0]:g} to {test.frequencies[-1]:g}",
+            write_number(test.averages, digits=3),
+            write_number(coherence.min(), digits=3),
+        ]
+        for test, coherence in zip(tests, medians, strict=True)
+    ]
+    runs = {
+        test.run.name: {
+            "averages": test.averages,
+            "coherence": dict(zip(recordings.probes, each.tolist(), strict=True)),
+        }
+        for test, each in zip(tests, medians, strict=True)
+    }
+    return Ingested(
+        data,
+        {**_summarize(recordings, data, data.speeds), "runs": runs, "notes": [n for test in tests for n in test.notes]},
+        lambda figure: [draw_responses(figure("ingest_responses"), tuple(recordings.probes), tests)],
+        ["run", "rpm", "lines", "Hz", "averages", "lowest coherence (median over lines)"],
+        rows,
+        f"{len(data.runs)} lines of {len(tests)} tests, {len(data.channels)} channels",
     )
 
 

@@ -34,6 +34,7 @@ from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
 if TYPE_CHECKING:
+    from pipeline.ingest.exciter import FrequencyResponse
     from pipeline.sweep.fit import ModalFit, RunUp
 
 AMPLITUDE = "amplitude (µm pk-pk)"
@@ -108,6 +109,37 @@ def draw_bode(
     seen = {f"{name}: node {node}, {angle:g}°": dataset.project(node, angle) for name, (node, angle) in probes.items()}
     traces = list_traces(dataset, dict(enumerate(choose_looks(dataset.runs, baseline))))
     return write_figure(path, Figure("bode", BODE, draw_bode_panels(dataset.speeds, seen, traces)))
+
+
+def draw_responses(path: Path, probes: Sequence[str], tests: Sequence[FrequencyResponse]) -> Path:
+    """Displacement over force of every probe and run, with its band, over its coherence."""
+    looks, half = (
+        choose_looks([test.run.name for test in tests]),
+        MICROMETRES / np.sqrt(2),
+    )  # noise of the amplitude alone
+    shown = [
+        (
+            Curve(test.frequencies, MICROMETRES * np.abs(response), **look, deviation=half * noise),
+            Curve(test.frequencies, coherence, **look),
+        )
+        for test, look in zip(tests, looks, strict=True)
+        for response, noise, coherence in zip(test.response.T, test.noise.T, test.coherence.T, strict=True)
+    ]
+    titles = (("displacement over force (µm/N)", "log"), ("coherence", "linear"))
+    panels = [
+        Panel(
+            probe,
+            "frequency (Hz)",
+            [
+                Axes([pair[i] for pair in shown[p :: len(probes)]], title, scale=scale)
+                for i, (title, scale) in enumerate(titles)
+            ],
+        )
+        for p, probe in enumerate(probes)
+    ]
+    return write_figure(
+        path, Figure("responses", "Averaged responses to the measured force, with their bands.", panels)
+    )
 
 
 def find_lag(vectors: np.ndarray) -> np.ndarray:

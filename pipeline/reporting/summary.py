@@ -82,7 +82,7 @@ def _describe_twin(content: ReportContent, fit: FitContent) -> list[str]:
     modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], asked.speed_rpm)
     rejected = "OF A REJECTED MODEL: " if content.machine_verdict["reservation"] else ""
     return [
-        *_wrap_entry("critical", rejected + list_critical_speeds(fit, modes["critical_speeds"])),
+        *_wrap_entry("critical", rejected + list_critical_speeds(fit, modes)),
         *_wrap_entry("stability", rejected + describe_stability(modes["stability"])),
         *_wrap_entry("prediction", rejected + _describe_prediction(asked, fit, fit.twin)),
         *(line for text in fit.beyond for line in _wrap_entry("beyond", f"{text}: the bands grow there")),
@@ -182,13 +182,17 @@ def _describe_run(content: ReportContent) -> str:
     return f"{what} to {write_percent(share)} (root mean square, {count(measured.shape[1], 'channel')})"
 
 
-def list_critical_speeds(fit: FitContent, critical: Mapping[str, Any]) -> str:
-    """Name the critical speeds with their decrements, and between which speeds they were sought.
+def list_critical_speeds(fit: FitContent, modes: Mapping[str, Any]) -> str:
+    """Name the critical speeds with their decrements, and between which speeds they were sought; at a single speed the
+    natural frequencies.
 
     Those of so much damping that API 617 asks for no margin (:func:`pipeline.twin.modes.require_separation`) are named
     apart.
     """
-    rpm, margin = _list_speeds(fit), "separation_margin_required_percent"
+    rpm, margin, critical = _list_speeds(fit), "separation_margin_required_percent", modes["critical_speeds"]
+    natural = [f"{show(m, 'hz')} Hz ({show(m, 'logarithmic_decrement')})" for m in modes.get("modes", {}).values()]
+    if natural:
+        return f"at {rpm[0]:g} rpm{fit.state} natural frequencies (logarithmic decrements) {_join(natural)}"
     damped = [show(mode, "rpm") for mode in critical.values() if mode[margin] == 0]
     sharp = [
         f"{show(mode, 'rpm')} rpm (logarithmic decrement {show(mode, 'logarithmic_decrement')})"
@@ -221,7 +225,8 @@ def _describe_prediction(asked: PredictionConfig, fit: FitContent, twin: Twin) -
     """The vibration at the prediction's speed, and the largest of all speeds."""
     identified, at = twin.vibration["identified"], twin.at
     rpm, (size, deviation) = to_rpm(identified.speeds), measure_sizes(identified)
-    acting = _join(f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}" for unbalance in asked.unbalances)
+    weights = [f"{1e6 * unbalance.magnitude:g} g mm at node {unbalance.node}" for unbalance in asked.unbalances]
+    acting = _join([*weights, *(f"{force.magnitude:g} N at node {force.node}" for force in asked.forces)])
     shown = zip("xy", size[at].tolist(), deviation[at].tolist(), strict=True)
     phrases = [f"{direction} {write_number(value, known, 5)} um" for direction, value, known in shown]
     s, d = np.unravel_index(size.argmax(), size.shape)

@@ -59,11 +59,27 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
     if behaviour.deviations is not None:
         growth, decrement = behaviour.margin_deviations
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
-    return {
+    summary: dict[str, object] = {
         "critical_speeds": {
             f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))
         },
         "stability": stability,
+    }
+    return summary | ({"modes": _summarize_natural(behaviour)} if len(behaviour.modes.speeds) == 1 else {})
+
+
+def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:
+    """The modes at the only speed there is, up to what excited them."""
+    modes, (hz_std, decrement_std) = behaviour.modes, list_deviations(behaviour)
+    numbers = {
+        "hz": modes.frequency[0] / RAD_S_PER_HERTZ,
+        "hz_std": hz_std[0] / RAD_S_PER_HERTZ,
+        "logarithmic_decrement": modes.logarithmic_decrement[0],
+        "logarithmic_decrement_std": decrement_std[0],
+    }
+    return {
+        f"{i + 1}": {key: float(values[i]) for key, values in numbers.items() if np.isfinite(values[i])}
+        for i in np.flatnonzero(find_reached(modes)[0]).tolist()
     }
 
 
@@ -176,12 +192,18 @@ def print_twin(
         rows.append([name, *shown, show(summary[name]["stability"], "smallest_logarithmic_decrement")])
         criticals += [[name, *cells] for cells in list_critical(summary[name]["critical_speeds"])]
     table(
-        f"{config.name}: node {prediction.node} under an unbalance never seen{state} (+- standard deviation)",
+        f"{config.name}: node {prediction.node} under {prediction.what} never seen{state} (+- standard deviation)",
         ["system", f"x at {rpm:g} rpm, um", f"y at {rpm:g} rpm, um", "smallest log decrement"],
         rows,
     )
     table(f"critical speeds{state}; separation is that from {rpm:g} rpm", ["system", *CRITICAL], criticals)
-    if not criticals:
+    natural = [
+        [name, *(show(mode, key) for key in ("hz", "logarithmic_decrement"))]
+        for name in vibration
+        for mode in summary[name].get("modes", {}).values()
+    ]
+    table(f"natural frequencies at {rpm:g} rpm{state}", ["system", "Hz", "log decrement"], natural)
+    if not criticals and not natural:
         say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
         errors = (
@@ -222,7 +244,7 @@ def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, 
     """Figure 6 (a) and (b): x and y of the node over two turns; ``state`` names the operating conditions."""
     rows: list[list[Curve]] = [[], []]
     for name, predicted in vibration.items():
-        time, motion = sample_motion(predicted.displacement[at], predicted.speeds[at])
+        time, motion = sample_motion(predicted.displacement[at], predicted.frequencies[at])
         for row, shift, colour in zip(rows, motion.T, (BLUE, ORANGE), strict=True):
             row.append(_draw(name, 1e3 * time, MICROMETRES * shift, colour))
     return write_panel(
@@ -245,7 +267,7 @@ def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int,
     """The orbit of the node at one speed; ``state`` names the operating conditions."""
     curves = []
     for name, predicted in vibration.items():
-        x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.speeds[at], turns=1.0)[1].T
+        x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.frequencies[at], turns=1.0)[1].T
         curves.append(_draw(name, x, y, BLUE))
     title, axes = f"orbit of {_name_place(vibration, at, state)}", Axes(curves, "y-displacement (µm)")
     return write_panel(path, Panel(title, "x-displacement (µm)", [axes], equal=True, wide=True))
@@ -296,7 +318,8 @@ def draw_modes(behaviour: Mapping[str, Behaviour], state: str = "", highest: flo
     lines, the identified one as markers. ``state`` names the operating conditions.
     """
     speeds, margin = behaviour["identified"].modes.speeds, behaviour["identified"].margin
-    rpm, top, beside = to_rpm(speeds), 2.0 * float(speeds.max()) / RAD_S_PER_RPM, f", {state}" if state else ""
+    highest_seen = max(2.0 * float(speeds.max()), behaviour["identified"].modes.highest)
+    rpm, top, beside = to_rpm(speeds), highest_seen / RAD_S_PER_RPM, f", {state}" if state else ""
     frequencies = [Curve(rpm, rpm, "1X", BLACK, width=1.0)]
     decrements: list[Curve] = []
     for name, machine in behaviour.items():

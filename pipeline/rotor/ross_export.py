@@ -60,6 +60,10 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
     for node in {node for kind, node in shifted if kind in couplings}:
         stiffness, mass = (shifted.get((kind, node), 0.0) for kind in couplings)
         standing.append(rs.BearingElement(node, kxx=stiffness, cxx=0.0, mxx=mass, tag="coupling"))
+    for place, node in enumerate(bearings.nodes):
+        added = {f"m{p.detail}": p.shift for p in parameters if p.kind == "added_mass" and p.place == place}
+        nothing = dict.fromkeys(("kxx", "cxx", "mxx", "mxy", "myx", "myy"), 0.0)
+        standing += [rs.BearingElement(node, **nothing | added, tag=f"added mass of node {node}")] * bool(added)
     return rs.Rotor(shaft, discs, standing, masses)
 
 

@@ -98,6 +98,8 @@ def describe_noise(config: Config) -> str:
     """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
     if config.machine.recordings.planes:
         return "the noise of the conditions"
+    if config.machine.recordings.by_frequency:
+        return "the noise of the averages"
     noise = config.stated_noise
     parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
     parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []

@@ -7,12 +7,12 @@ from pipeline.config.schema import Config
 from pipeline.data.tables import read_marks
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import write_json
-from pipeline.ingest.dataset import read_measured_runs
+from pipeline.ingest.dataset import join_responses, read_measured_runs
 from pipeline.ingest.plausibility import note_alike, note_casing, note_size, note_whirl, require_clearance
 from pipeline.ingest.records import to_dataset
 from pipeline.problem.configured import load_known
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.ingested import Ingested, describe_records, describe_runs, print_ingested
+from pipeline.reporting.ingested import Ingested, describe_records, describe_responses, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes, require_nodes
 from pipeline.stages.analysis import Analysis, Workspace, require_own, write_data
@@ -37,6 +37,10 @@ def run(analysis: Analysis) -> StageRecord:
     if recordings.planes:
         require_nodes(rotor, "machine.recordings.weights", recordings.planes)
         ingested = describe_records(recordings, to_dataset(recordings.read_records()))
+    elif recordings.by_frequency:
+        require_nodes(rotor, "machine.recordings.runs", [force.node for run in recordings.runs for force in run.forces])
+        tests = recordings.read_responses()
+        ingested = describe_responses(recordings, join_responses(recordings, tests), tests)
     else:
         ingested = _read_runs(config, recordings, rotor)
     data, machine = ingested.dataset, config.machine

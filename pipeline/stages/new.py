@@ -33,13 +33,14 @@ def run(analysis: Analysis) -> StageRecord:
     if os.path.lexists(path):
         raise DataError(f"stage=new must not replace a file, but '{path}' is there: choose another name, or move it")
     command = f"python -m pipeline {{}} {quote_override('machine.file', config.machine.file)}"
-    data, guesses, rotor = config.new.data, dict[str, str](), config.machine.rotor
-    if config.new.source:
-        source, nodes = make_absolute(config.new.source), load_rotor(rotor).bearing_nodes if rotor.file else (1, 5)
+    new, guesses, rotor = config.new, dict[str, str](), config.machine.rotor
+    data = new.data
+    if new.source:
+        source, nodes = make_absolute(new.source), load_rotor(rotor).bearing_nodes if rotor.file else (1, 5)
         data, guesses = recognize_recordings(source, path.parent, nodes)
         for sentence in describe_format(source, (), CsvConfig()) if source.suffix in (".csv", ".txt") else ():
             say(sentence)
-    text = insert_guesses(fill_template(path, config.new.bearings, data), guesses)
+    text = insert_guesses(fill_template(path, new.bearings, data, new.supports, new.probes), guesses)
     if rotor.file:
         file = json.dumps(os.path.relpath(make_absolute(rotor.file), path.parent), ensure_ascii=False)
         text = text.replace("\n  file: null ", f"\n  file: {file} ", 1)
@@ -70,8 +71,8 @@ def insert_guesses(text: str, guesses: Mapping[str, str]) -> str:
     return before + mark + recordings
 
 
-def fill_template(path: Path, bearings: str, data: str) -> str:
-    """The text of a machine file for this kind of bearings and source of data.
+def fill_template(path: Path, bearings: str, data: str, supports: str = "none", probes: str = "shaft") -> str:
+    """The text of a machine file for this kind of bearings, source of data, supports, and motion that probes measure.
 
     In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
     """
@@ -80,8 +81,10 @@ def fill_template(path: Path, bearings: str, data: str) -> str:
         "processed": {"processed", "measured"},
         "recordings": {"recordings", "recorded", "measured"},
         "tables": {"tables", "recorded", "measured"},
+        "exciter": {"exciter", "recorded", "measured"},
     }
-    tags = {bearings} | sections[data]
+    seen = {"shaft": {"shaft"}, "both": {"relative", "casing", "ground"}}.get(probes, {probes, "ground"})
+    tags = {bearings, supports} | sections[data] | seen
     lines, wanted = [], True
     for line in TEMPLATE.read_text(encoding="utf-8").splitlines(keepends=True):
         if line.startswith("#:"):

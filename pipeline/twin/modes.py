@@ -25,6 +25,7 @@ class WhirlModes:
     logarithmic_decrement: np.ndarray  # (S, K)
     growth: np.ndarray  # (S,) largest real part among all eigenvalues, 1/s; positive is unstable, rounding is zero
     growing: np.ndarray  # (S,) imaginary part of that eigenvalue, rad/s; zero where it does not oscillate
+    highest: float = 0.0  # rad/s, of what excited the machine; unbalance reaches modes up to twice the top speed
 
     @property
     def eigenvalues(self) -> np.ndarray:
@@ -32,8 +33,9 @@ class WhirlModes:
         return self.frequency * (1j - self.logarithmic_decrement / (2.0 * math.pi))
 
 
-def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> WhirlModes:
-    """Eigenvalues of ``M q'' + (C + W G + C_b) q' + (K + K_b) q = 0`` at the speeds of ``bearings``."""
+def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8, highest: float = 0.0) -> WhirlModes:
+    """Eigenvalues of ``M q'' + (C + W G + C_b) q' + (K + K_b) q = 0`` at the speeds of ``bearings``; ``highest`` is the
+    frequency (rad/s) of what excited the machine."""
     n = rotor.n_dof
     mass, damping, stiffness = assemble_systems(rotor, bearings)
     inverse = np.linalg.inv(mass)  # one serves all speeds where no seal has mass
@@ -55,7 +57,7 @@ def find_modes(rotor: RotorModel, bearings: BearingTable, count: int = 8) -> Whi
     # The sign of an undamped mode's real part is a matter of rounding.
     rounding = np.finfo(float).eps * 2 * n * np.abs(eigenvalues).max(axis=1)
     growth = np.where(np.abs(growth) < rounding, 0.0, growth)
-    return WhirlModes(bearings.speeds, frequency, decrement, growth, np.abs(rightmost.imag))
+    return WhirlModes(bearings.speeds, frequency, decrement, growth, np.abs(rightmost.imag), highest)
 
 
 def follow_modes(modes: WhirlModes) -> np.ndarray:
@@ -162,8 +164,9 @@ def judge_growth(growth: float, deviation: float, deviations: float = 2.0) -> St
 
 
 def find_reached(modes: WhirlModes) -> np.ndarray:
-    """(S, K) mask of the modes up to twice the top speed: those above are reached by no unbalance."""
-    return modes.frequency <= 2.0 * modes.speeds.max()  # false for NaN
+    """(S, K) mask of the modes up to twice the top speed, or to the highest frequency that excited the machine: those
+    above are reached by no unbalance."""
+    return modes.frequency <= max(2.0 * modes.speeds.max(), modes.highest)  # false for NaN
 
 
 def measure_stability(modes: WhirlModes) -> StabilityMargin:

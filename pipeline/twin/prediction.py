@@ -40,6 +40,7 @@ class PredictedVibration:
 
     node: int
     speeds: np.ndarray  # (S,) rad/s
+    frequencies: np.ndarray  # (S,) rad/s of the vibration; those of an unbalance are the speeds
     displacement: np.ndarray  # (S, 2) complex, m, of x and y
     deviation: np.ndarray | None = None  # (S, 2) standard deviation of the amplitude, m, where it is known
 
@@ -49,13 +50,18 @@ class PredictedVibration:
 
 
 def predict(
-    rotor: RotorModel, bearings: BearingTable, unbalances: tuple[Excitation, ...], node: int
+    rotor: RotorModel,
+    bearings: BearingTable,
+    unbalances: tuple[Excitation, ...],
+    node: int,
+    frequencies: Sequence[float] | np.ndarray = (),
 ) -> PredictedVibration:
-    """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``."""
-    runs = (unbalances[0].run,)
-    response = solve_response(rotor, bearings, unbalances, runs)
+    """The response of ``node`` to ``unbalances`` (one run) at the speeds of ``bearings``; to forces at ``frequencies``
+    (S,) rad/s of their own."""
+    runs, w = (unbalances[0].run,), np.asarray(frequencies) if len(frequencies) else bearings.speeds
+    response = solve_response(rotor, bearings, unbalances, runs, w[:, None])
     places = [translation_dof(node, direction) for direction in range(TRANSLATIONS)]
-    return PredictedVibration(node, bearings.speeds, response[:, places, 0])
+    return PredictedVibration(node, bearings.speeds, w, response[:, places, 0])
 
 
 def add_deviation(
@@ -72,7 +78,8 @@ def add_deviation(
     """
     channels = tuple((predicted.node, angle) for angle in DIRECTIONS.values())
     runs = (unbalances[0].run,)
-    dataset = VibrationDataset(bearings.speeds, runs, channels, predicted.displacement[..., None], unbalances)
+    shown, w = predicted.displacement[..., None], predicted.frequencies[:, None]
+    dataset = VibrationDataset(bearings.speeds, runs, channels, shown, unbalances, w)
     stiffness = float(np.median(np.abs(bearings.values[..., 0])))
     equations = response_equations(measurement.updated_rotor, dataset, stiffness)
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
@@ -86,7 +93,7 @@ def add_deviation(
         by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)
         by_model = by_model + np.einsum("sdbc,sbct->sdt", by_coefficient, measurement.known_variation)
         slopes = np.concatenate([slopes, by_model], axis=-1)
-    direction = predicted.displacement.conj() / np.abs(predicted.displacement)
+    direction = predicted.displacement.conj() / np.maximum(np.abs(predicted.displacement), np.finfo(float).tiny)
     in_phase = (direction[..., None] * slopes).real
     variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.machine_covariance, in_phase, optimize=True)
     return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))

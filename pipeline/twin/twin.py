@@ -6,12 +6,14 @@ Legend: S speeds, B bearings.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.config.machine import MachineConfig
+from pipeline.config.runs import find_frequencies
 from pipeline.data.dataset import Excitation
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.vibration_files import place_speed
 from pipeline.errors import ConfigError, PipelineError
 from pipeline.identification.identified import Answer
@@ -45,15 +47,17 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
 
     Raises ConfigError for conditions, nodes or a speed that the machine lacks, and for an unbalance that a run has.
     """
-    dataset, unseen, asked = measurement.dataset, list_unseen(machine), machine.prediction
+    dataset, unseen, asked = measurement.dataset, run_excitations(machine.prediction), machine.prediction
     operating = asked.operating or pick_middle(dataset.operating)
     require_conditions(OPERATING, operating, dataset.operating)
     operating = {name: operating[name] for name in dataset.operating}
     require_nodes(measurement.rotor, "machine.prediction", [asked.node, *(unbalance.node for unbalance in unseen)])
     speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
-    if (run := find_same_run(unseen, dataset.excitations)) is not None:
+    alike = np.isclose(dataset.frequencies, find_frequencies(asked, dataset.speeds)[:, None]).any(axis=0)
+    if (run := find_same_run(unseen, dataset.of_runs(np.flatnonzero(alike)).excitations)) is not None:
         raise ConfigError(
-            f"machine.prediction.unbalances must be an unbalance that training never saw, but run '{run}' is the same"
+            f"machine.prediction.{'unbalances' if asked.unbalances else 'forces'} must be {asked.what} that training "
+            f"never saw, but run '{run}' is the same"
         )
     return operating, speeds, at
 
@@ -63,10 +67,11 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
 
     Raises ConfigError as :func:`plan_twin`, and for conditions that nothing says the coefficients at.
     """
-    stated, unseen, node = answer.measurement, list_unseen(machine), machine.prediction.node
+    stated, unseen, node = answer.measurement, run_excitations(machine.prediction), machine.prediction.node
     operating, speeds, at = plan_twin(machine, stated)
     points, identified = evaluate_at(answer.model, stated, operating, OPERATING, speeds)
-    truth = _truth_at(machine, stated, modelled, operating, speeds)
+    truth, w = _truth_at(machine, stated, modelled, operating, speeds), find_frequencies(machine.prediction, speeds)
+    highest = float(stated.dataset.frequencies.max())
     systems: dict[str, BearingTable] = {}
     vibration: dict[str, PredictedVibration] = {}
     behaviour: dict[str, Behaviour] = {}
@@ -79,11 +84,11 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
                 refine_nodes(unseen, built),
             )
             place = built.refinement * node
-        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place)
-        behaviour["modelled"] = Behaviour(find_modes(rotor, truth))
+        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place, w)
+        behaviour["modelled"] = Behaviour(find_modes(rotor, truth, highest=highest))
     systems["identified"] = identified
-    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node)
-    modes = find_modes(points.updated_rotor, identified)
+    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node, w)
+    modes = find_modes(points.updated_rotor, identified, highest=highest)
     deviations = None
     if answer.uncertainty is not None:
         given = (answer.model, answer.uncertainty)
@@ -127,7 +132,8 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
     dof, resolution = dataset.resolution()
     rows = [np.flatnonzero(dof == translation_dof(node, direction)) for direction in range(2)]
     runs = range(len(dataset.runs))
-    shares = find_shares(dataset, runs, list_unseen(machine), dataset.speeds, bool(measurement.unknowns.planes))
+    w = find_frequencies(machine.prediction, dataset.speeds)
+    shares = find_shares(dataset, runs, run_excitations(machine.prediction), w, bool(measurement.unknowns.planes))
     if not all(len(row) for row in rows):
         return f"no probes show x and y of node {node}"
     if shares is None:
@@ -135,21 +141,12 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
     return (dataset.displacement @ shares) @ resolution[np.concatenate(rows)].T
 
 
-def list_unseen(machine: MachineConfig) -> tuple[Excitation, ...]:
-    """The unbalances that the twin is judged by, as one run."""
-    return tuple(
-        Excitation("prediction", "unbalance", u.node, u.magnitude, u.phase) for u in machine.prediction.unbalances
-    )
-
-
 def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
 
-    def shape(forces: list[Excitation]) -> set[tuple[object, ...]]:
-        return {(e.kind, e.node, e.magnitude, e.phase, e.whirl) for e in forces}
-
+    wanted = {replace(excitation, run="") for excitation in unseen}
     runs = dict.fromkeys(e.run for e in seen)
-    return next((run for run in runs if shape([e for e in seen if e.run == run]) == shape(list(unseen))), None)
+    return next((run for run in runs if {replace(e, run="") for e in seen if e.run == run} == wanted), None)
 
 
 def measure_unseen(
@@ -160,15 +157,16 @@ def measure_unseen(
     None without a truth, and where this rotor lacks the prediction's nodes, a run has the very unbalance, or an answer
     is not finite.
     """
-    unseen, node, rotor = list_unseen(machine), machine.prediction.node, measurement.rotor
+    unseen, node, rotor = run_excitations(machine.prediction), machine.prediction.node, measurement.rotor
     lacks = max(node, *(force.node for force in unseen)) >= rotor.n_places
     if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations) is not None:
         return None
     if not all(np.isfinite(answer.values).all() for answer in answers):
         return None
     try:
-        true = predict(rotor, modelled, unseen, node)
-        errors = [predict(rotor, answer, unseen, node).error_percent(true).mean(axis=0).max() for answer in answers]
+        asked = unseen, node, find_frequencies(machine.prediction, modelled.speeds)
+        true = predict(rotor, modelled, *asked)
+        errors = [predict(rotor, answer, *asked).error_percent(true).mean(axis=0).max() for answer in answers]
     except PipelineError:  # a diverged start may have a singular machine
         return None
     worst = float(max([0.0, *errors]))

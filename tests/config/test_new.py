@@ -28,9 +28,16 @@ pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: h
 
 EXAMPLE = CONF.parent / "examples" / "measured_demo"
 KINDS = [
-    (bearings, data)
+    (bearings, data, "none", "shaft")
     for bearings in ("rolling", "fluid_film")
     for data in ("simulated", "recordings", "tables", "processed")
+] + [
+    ("rolling", "simulated", "pedestals", "both"),
+    ("fluid_film", "simulated", "base", "relative"),
+    ("fluid_film", "recordings", "base", "casing"),
+    ("rolling", "tables", "pedestals", "both"),
+    ("rolling", "exciter", "none", "shaft"),
+    ("fluid_film", "exciter", "pedestals", "casing"),
 ]
 
 
@@ -40,11 +47,11 @@ def made_by_new(path: Path, *overrides: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("bearings", "data"), KINDS)
-def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
+@pytest.mark.parametrize(("bearings", "data", "supports", "probes"), KINDS)
+def test_a_template_composes(bearings: str, data: str, supports: str, probes: str, folder: Path) -> None:
     """Each kind, as it is; 120 columns, comments at every section, no key that the schema does not know."""
     path = folder / "rig 2.yaml"
-    text = fill_template(path, bearings, data)
+    text = fill_template(path, bearings, data, supports, probes)
     path.write_text(text)
     for name in ("vibration.csv", "excitation.csv"):
         (folder / name).symlink_to(EXAMPLE / name)
@@ -56,6 +63,12 @@ def test_a_template_composes(bearings: str, data: str, folder: Path) -> None:
     assert (config.data.vibration is not None) == (data == "processed")
     assert config.loss.noise == ("stated" if data == "simulated" else "estimated")
     assert config.name == "rig_2"
+    ground = {"none": (0, 0), "pedestals": (2, 0), "base": (0, 2)}
+    assert (len(config.machine.rotor.supports), len(config.machine.rotor.base.points)) == ground[supports]
+    listed = config.machine.probes.at if data == "simulated" else config.machine.recordings.probes.values()
+    relative = "shaft relative to casing"
+    motions = {"both": {"casing", relative}, "casing": {"casing"}, "relative": {relative}}
+    assert probes == "shaft" or {probe.measures for probe in listed} == motions[probes]
     if data == "processed":  # its speeds and runs are those of the files
         assert config.machine.speeds.model_dump() == {"start_rpm": 1500, "stop_rpm": 5800, "step_rpm": 100}
         assert [len(run.unbalances) for run in config.machine.runs] == [1, 1, 2]

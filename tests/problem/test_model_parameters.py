@@ -49,6 +49,7 @@ DEVIATIONS = {
     "label_gain": 0.1,
     "label_angle": 0.1,
     "bearing_drift": 0.02,
+    "added_mass": 2.0,
 }
 
 
@@ -74,7 +75,7 @@ def measurement() -> Measurement:
     data = VibrationDataset(speeds, ("a", "b"), channels, np.ones((len(speeds), 4, 2), complex) * 1e-5, weights)
     unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, BearingUnknowns(("kxx", "kyy"))), planes=(3,))
     made = Measurement(model, data, known, NoiseModel(1e-7, 0.0), unknowns, Guess(1e7, 1e4))
-    parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0)
+    parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0, seal_nodes=(1,))
     return replace(made, parameters=parameters).update(0.3 * np.cos(np.arange(len(parameters))))
 
 
@@ -100,6 +101,7 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
         "runout": 8,
         "known_coefficients": 12,
         "bearing_drift": 4,
+        "added_mass": 2,
     }
 
 

@@ -69,7 +69,7 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
     answer = f"At {write_number(shown.rpm[at], digits=6)} rpm{fit.state}{known}: {', '.join(values)}.{elsewhere}"
     if fit.twin:
         modes: Mapping[str, Any] = summarize_modes(fit.twin.behaviour["identified"], shown.rpm[at])
-        critical, stable = list_critical_speeds(fit, modes["critical_speeds"]), describe_stability(modes["stability"])
+        critical, stable = list_critical_speeds(fit, modes), describe_stability(modes["stability"])
         answer += f" Critical speeds: {critical}. Stability: {stable}."
     felt = f" What is identified: {AS_FELT}." if machine["identified"] == AS_FELT else ""
     beyond = "".join(f" {text[0].upper()}{text[1:]}." for text in fit.beyond)

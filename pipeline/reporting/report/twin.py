@@ -162,9 +162,10 @@ def _predict(content: ReportContent, fit: FitContent, twin: Twin) -> Figure:
         f"node {unbalance.node}: "
         + describe_weight(unbalance.magnitude / GRAM_MILLIMETRE, float(np.degrees(unbalance.phase)))
         for unbalance in asked.unbalances
-    )
+    ) + "; ".join(f"node {force.node}: {force.magnitude:g} N, {force.whirl}" for force in asked.forces)
     stated = "; this fit states no band" if predicted.deviation is None else ", with its nominal 95 % band"
     told = f"({acting}){',' * bool(fit.state)}{fit.state}{stated}"
-    caption = f"Predicted 1X amplitude of node {asked.node} under an unbalance that no run has {told}."
+    order = "1X " * bool(asked.unbalances)
+    caption = f"Predicted {order}amplitude of node {asked.node} under {asked.what} that no run has {told}."
     axes = Axes(draw_sizes(twin.vibration, 1.0), AMPLITUDE, quantity="amplitude")
     return Figure("prediction", caption, [Panel(f"node {asked.node}", RPM, [axes], wide=True)])
