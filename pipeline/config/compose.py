@@ -257,11 +257,14 @@ def _find_kind(override: Override) -> tuple[str, str, Any, str] | None:
 
 
 def _compose(parsed: Sequence[Override], loader: ConfigLoader) -> Mapping[str, Any]:
-    """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed."""
+    """Compose machine and data alone. A mistake gives an empty mapping: it is told when the whole is composed.
+
+    The section of comparisons is composed of half of all files, and no machine needs it.
+    """
     keys = ("machine", "experiment", "data")
     machine_overrides = [o for o in parsed if o.key_or_group.partition(".")[0] in keys and not o.is_sweep_override()]
     try:
-        composed = compose(machine_overrides, loader)
+        composed = compose([*machine_overrides, *parse_overrides(["~comparison"], loader)], loader)
     except ConfigError:
         return {}
     return composed if isinstance(composed.get("machine"), Mapping) else {}

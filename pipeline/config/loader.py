@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pipeline.config.messages import explain_key, explain_option, explain_syntax, list_paths
 from pipeline.errors import ConfigError
+from pipeline.files import hash_parts, keep, look_up
 
 if TYPE_CHECKING:
     from hydra.core.config_loader import ConfigLoader
@@ -98,14 +98,27 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
 
 
 def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
-    """The composed configuration. What the groups compose to is kept for other values of the same files."""
+    """The composed configuration. What groups of ``conf/`` compose to is kept: reading it is a tenth of the work.
+
+    Values of a command and files of a user are not kept beyond this process, since they may be secret.
+    """
+    import yaml
+    from hydra.core.config_store import ConfigStore
     from hydra.types import RunMode
     from omegaconf import OmegaConf
 
     values = [o for o in chosen if isinstance(o.value(), dict) or not loader.repository.group_exists(o.key_or_group)]
     groups = [get_text(override) for override in chosen if override not in values]
-    if (key := _identify_files(groups)) not in _COMPOSED:
-        _COMPOSED[key] = loader.load_configuration(ROOT_CONFIG, groups, RunMode.RUN, from_shell=False)
+    stored = [(group, inside) for group, inside in ConfigStore.instance().repo.items() if (CONF / group).is_dir()]
+    key = _identify_files(groups, stored)
+    if key not in _COMPOSED:
+        content = look_up(_KIND, key)
+        if content is None:
+            composed = loader.load_configuration(ROOT_CONFIG, groups, RunMode.RUN, from_shell=False)
+            content = yaml.dump(OmegaConf.to_container(composed), Dumper=yaml.CSafeDumper, sort_keys=False).encode()
+            if not stored:
+                keep(_KIND, key, content)
+        _COMPOSED[key] = OmegaConf.create(yaml.CSafeLoader(content).get_single_data())
     config = copy.deepcopy(_COMPOSED[key])
     OmegaConf.set_struct(config, True)
     loader._apply_overrides_to_config(values, config)
@@ -113,16 +126,16 @@ def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
 
 
 _COMPOSED: dict[str, DictConfig] = {}
-"""What groups of files compose to, in this process, by the identity of both: a copy is a tenth of the work."""
+"""What groups of files compose to, in this process, by the identity of both."""
+_KIND = "configurations"
 
 
-def _identify_files(groups: Sequence[str]) -> str:
+def _identify_files(groups: Sequence[str], stored: Sequence[Any]) -> str:
     """The identity of chosen groups, and of all that they can be composed of."""
-    from hydra.core.config_store import ConfigStore
+    from hydra import __version__
 
     files = [(str(path), path.read_bytes()) for path in sorted(CONF.rglob("*.yaml")) if path.is_file()]
-    stored = [(group, inside) for group, inside in ConfigStore.instance().repo.items() if (CONF / group).is_dir()]
-    return hashlib.sha256(repr([groups, files, stored]).encode()).hexdigest()
+    return hash_parts(repr([__version__, groups, files, stored]))
 
 
 def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:
