@@ -181,7 +181,7 @@ def test_a_mistake_is_said_in_a_sentence(
     assert "Traceback" not in said
 
 
-OTHERS = ["compressor_journal_and_isotropic", "compressor_two_journals"]
+OTHERS = ["compressor_journal_and_isotropic", pytest.param("compressor_two_journals", marks=pytest.mark.nightly)]
 FIVE_SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
 FEW_STEPS = [
     "comparison.paper.optimizer.adam.steps=20",

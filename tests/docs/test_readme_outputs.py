@@ -38,7 +38,9 @@ def is_printed(line: str, said: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("start", ["python -m pipeline stage=train", "python -m pipeline -m "])
+@pytest.mark.parametrize(
+    "start", ["python -m pipeline stage=train", pytest.param("python -m pipeline -m ", marks=pytest.mark.nightly)]
+)
 def test_readme_prints_what_a_command_prints(start: str, tmp_path: Path) -> None:
     """In an empty folder: training, and a multirun with its table."""
     command, lines = next((one, of) for one, of in read_outputs().items() if one.startswith(start))

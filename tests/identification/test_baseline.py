@@ -116,7 +116,7 @@ def _as_if_independent(
     ("follow", "low", "high"),
     [
         pytest.param(Readings.follow, 0.93, 1.07, id="shared"),
-        pytest.param(_as_if_independent, 1.15, 1.40, id="as if independent"),
+        pytest.param(_as_if_independent, 1.15, 1.40, id="as if independent", marks=pytest.mark.nightly),
     ],
 )
 def test_intervals_hold_as_often_as_they_say(

@@ -52,7 +52,9 @@ def test_a_sense_read_twice_is_the_data_as_written() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("written", [Sense(), Sense(lag=True), Sense(lag=True, against=True)])
+@pytest.mark.parametrize(
+    "written", [Sense(), Sense(lag=True, against=True), pytest.param(Sense(lag=True), marks=pytest.mark.nightly)]
+)
 def test_data_written_in_the_wrong_sense_are_found(written: Sense, setup: FitSetup) -> None:
     """Of all eight the one in which they were written, the mirrored machine refused by its damping."""
     found = try_senses(written.read(small_machine(DIRECT)[0]), setup)

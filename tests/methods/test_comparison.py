@@ -64,7 +64,11 @@ BY_DAY = [pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper")) fo
 
 
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in METHOD_NAMES]
+    "method",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG) + [pytest.mark.nightly] * (name not in WHOLE))
+        for name in METHOD_NAMES
+    ],
 )
 def test_the_right_answer_on_clean_data(method: str) -> None:
     good = GOOD[method]
