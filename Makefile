@@ -156,7 +156,12 @@ lock: .cache/uv/bin/uv  ## write requirements.lock, the packages of the containe
 	mv .cache/lock/new requirements.lock
 
 audit: env .cache/audit/bin/pip-audit  ## ask the advisory database of Python packages about those of requirements.lock (needs the network)
-	.cache/audit/bin/pip-audit -r requirements.lock --disable-pip --require-hashes
+	@sed 's/+cpu / /' requirements.lock > .cache/audit/requirements.txt
+	@.cache/audit/bin/pip-audit -r .cache/audit/requirements.txt --disable-pip --require-hashes --strict 2> .cache/audit/said \
+		|| { tail -n 1 .cache/audit/said >&2; \
+			echo "Each package of requirements.lock must be known to the advisory database, without an advisory, but it is" \
+				"not (the line above says why): update the package, or try again where pypi.org can be reached" >&2; \
+			exit 1; }
 
 .cache/audit/bin/pip-audit:
 	.venv/bin/python -m venv .cache/audit
