@@ -112,12 +112,12 @@ def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
     stored = [(group, inside) for group, inside in ConfigStore.instance().repo.items() if (CONF / group).is_dir()]
     key = _identify_files(groups, stored)
     if key not in _COMPOSED:
-        content = look_up(_KIND, key)
-        if content is None:
+        content = look_up("configurations", key)
+        if not content:
             composed = loader.load_configuration(ROOT_CONFIG, groups, RunMode.RUN, from_shell=False)
             content = yaml.dump(OmegaConf.to_container(composed), Dumper=yaml.CSafeDumper, sort_keys=False).encode()
             if not stored:
-                keep(_KIND, key, content)
+                keep("configurations", key, content)
         _COMPOSED[key] = OmegaConf.create(yaml.CSafeLoader(content).get_single_data())
     config = copy.deepcopy(_COMPOSED[key])
     OmegaConf.set_struct(config, True)
@@ -127,7 +127,6 @@ def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
 
 _COMPOSED: dict[str, DictConfig] = {}
 """What groups of files compose to, in this process, by the identity of both."""
-_KIND = "configurations"
 
 
 def _identify_files(groups: Sequence[str], stored: Sequence[Any]) -> str:

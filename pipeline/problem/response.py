@@ -278,6 +278,6 @@ class ResponseEquations:
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
         """dH, (S, 2 B, 2 B) N/m."""
         count = block.receptance_bearings.shape[-1]
-        missing = count // 2 - len(bearings.values)
-        values = np.pad(bearings.values, ((0, missing), (0, 0), (0, 0))) if missing else bearings.values
+        casings = count // 2 - len(bearings.values)
+        values = np.pad(bearings.values, ((0, casings), (0, 0), (0, 0))) if casings else bearings.values
         return np.asarray(impedance_change(values.swapaxes(0, 1), block.frequencies, self.references[:count]))

@@ -208,7 +208,8 @@ class _Problem:
         bearings, gain = data.table(values), 1 + self.free.shares @ numbers
         by_unknown = ReadingSlopes(data, bearings).by_unknown * slope[:, None, None] * gain[..., None]
         by_weight = np.einsum("spra,sk->sprak", by_unknown, self.functions).reshape(*by_unknown.shape[:3], -1)
-        predicted = data.response.predict(bearings)[..., None] if len(self.free) else np.zeros(1)
-        by_number = predicted * self.free.shares + self.free.shown
+        by_number = self.free.shown + self.free.shares * (
+            data.response.predict(bearings)[..., None] if len(self.free) else 0.0
+        )
         columns = np.concatenate([by_weight, by_number / data.deviation[..., None]], axis=-1)
         return stack_rows(columns).reshape(-1, len(weights))

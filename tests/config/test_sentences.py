@@ -213,10 +213,19 @@ def test_a_broken_file_in_conf_is_named(line: str, words: str, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("experiment", ["measured_demo", "oil_temperatures", "realistic"])
-def test_the_short_way_composes_what_hydra_composes(experiment: str) -> None:
-    """An override of Hydra's own part asks for the whole of its work."""
-    given = [f"experiment={experiment}", "+machine.note=x", "~report", "optimizer.adam.steps=3"]
-    assert compose_mapping(given) == compose_mapping([*given, "hydra.verbose=false"])
+def test_what_groups_compose_to_is_kept_and_no_value_of_a_command(
+    experiment: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The same from the files of conf/ and from what was kept of them; with an override of Hydra's own part, too."""
+    monkeypatch.setattr("pipeline.files.CACHE", tmp_path)
+    given = [f"experiment={experiment}", "+machine.note=secret", "~report", "optimizer.adam.steps=3"]
+    composed = []
+    for more in ([], [], ["hydra.verbose=false"]):
+        monkeypatch.setattr("pipeline.config.loader._COMPOSED", {})
+        composed.append(compose_mapping([*given, *more]))
+    assert composed == composed[:1] * 3
+    (kept,) = (tmp_path / "configurations").iterdir()
+    assert "secret" not in kept.read_text()
 
 
 @pytest.mark.slow

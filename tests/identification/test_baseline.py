@@ -68,6 +68,7 @@ def problem(rotor_of: Machine) -> tuple[OutputError, Any]:
     return found.problem, found.weights
 
 
+@pytest.mark.slow
 def test_the_jacobian_is_that_of_automatic_differentiation(problem: tuple[OutputError, Any]) -> None:
     import torch
 
@@ -80,6 +81,7 @@ def test_the_jacobian_is_that_of_automatic_differentiation(problem: tuple[Output
     assert float((gradient[0, 0] - wanted.T @ rows).abs().max()) < 1e-10 * float((wanted.abs().T @ rows.abs()).max())
 
 
+@pytest.mark.slow
 def test_the_rows_have_the_covariance_of_the_noise(rotor_of: Machine) -> None:
     """The root that they are made with, squared and inverted, is the covariance of readings with one baseline; what a
     shaker reads shares nothing.

@@ -140,6 +140,7 @@ def test_inputs_are_scaled_to_one(scaling: str, hydrostatic: Machine) -> None:
     np.testing.assert_allclose(alone.scaled_inputs({"speed": speeds[:1]}).numpy(), [[-1.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain", CHAINS)
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
 def test_known_truth_is_recovered(chain: str, parametrisation: str, ball: Machine) -> None:

@@ -32,6 +32,7 @@ from pipeline.stages.analysis import use_threads
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phases", [optimizer(adam=60), optimizer(lm=15), optimizer(lbfgs=8)])
 def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerConfig, ball: Machine) -> None:
     """Five guesses at once end where each ends alone (1e-12; steps forced equal, no early stopping)."""

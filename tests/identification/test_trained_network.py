@@ -56,6 +56,7 @@ def trained(drawn: OutputErrorFit) -> TrainedFit:
     return train_hidden(drawn, setup())
 
 
+@pytest.mark.slow
 def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: OutputErrorFit) -> None:
     """Two layers; each network has precisions of its own."""
     import torch

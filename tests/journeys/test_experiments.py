@@ -168,8 +168,8 @@ def test_check_names_an_experiment_that_was_made_worse(
     """Trained on the unscaled residual, `hydrostatic_stiffness` exceeds its limits, and its rows come first."""
     folder = judged / "hydrostatic_stiffness"
     for stage in ("generate", "train", "evaluate", "predict"):
-        few = "optimizer.levenberg_marquardt.steps=20"
-        run(stage, ["experiment=hydrostatic_stiffness", "loss.scaling=none", few], folder)
+        unscaled = ["loss.scaling=none", "optimizer.levenberg_marquardt.steps=20"]
+        run(stage, ["experiment=hydrostatic_stiffness", *unscaled], folder)
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:
         run("check", ["experiment=ball_bearing"], judged / "ball_bearing")

@@ -102,6 +102,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.slow
 def test_a_mistake_in_a_data_file_is_told_before_anything_heavy(tmp_path: Path) -> None:
     """Neither ROSS nor torch is imported for any of the sentences."""
     texts = {

@@ -43,6 +43,7 @@ def test_a_committed_study_is_the_one_of_its_report(path: Path) -> None:
     assert format_trials(study).splitlines()[1:] == path.read_text().splitlines()[1:]
 
 
+@pytest.mark.slow
 def test_studies_are_gathered_once_and_beside_those_of_this_machine(tmp_path: Path) -> None:
     """A file that changed is read anew; a trial with a page has it as its note; a study that runs here stays."""
     import optuna
