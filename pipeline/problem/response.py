@@ -277,7 +277,8 @@ class ResponseEquations:
 
     def change(self, bearings: BearingTable, block: ResponseBlock) -> np.ndarray:
         """dH, (S, 2 B, 2 B) N/m."""
-        count = block.receptance_bearings.shape[-1]
-        casings = count // 2 - len(bearings.values)
+        casings = block.receptance_bearings.shape[-1] // 2 - len(bearings.values)
         values = np.pad(bearings.values, ((0, casings), (0, 0), (0, 0))) if casings else bearings.values
-        return np.asarray(impedance_change(values.swapaxes(0, 1), block.frequencies, self.references[:count]))
+        return np.asarray(
+            impedance_change(values.swapaxes(0, 1), block.frequencies, self.references[: 2 * len(values)])
+        )
