@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,12 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MachineFactory, assert_says, refused
+from conftest import MachineFactory, Run, assert_says, refused
+from damaged import measured
 from measured_files import CONVENTIONS, long, probes_config, table_config, vectors_of
-from reading import BARE, DISC, ONE, RPM, RUNS, waves, with_ingest
+from reading import BARE, DISC, ONE, RPM, RUNS, _mapping, read, waves, wide_runs, with_ingest
 
 from pipeline.__main__ import main
 from pipeline.config.quantities import GuessConfig
+from pipeline.data.dataset import VibrationDataset
+from pipeline.data.vibration_files import read_dataset
 from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.plausibility import note_size, note_whirl, require_clearance
 from pipeline.reporting import ingested
@@ -180,6 +184,47 @@ def ball_section(folder: Path, **changes: Any) -> dict[str, Any]:
     return section | {"shaft_angle": "against_rotation", "tacho": {"angle": "90 deg"}} | changes
 
 
+@pytest.mark.slow
+def test_ingest_then_train(ball_tables: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    """The files of the stage are those that training reads, and it finds the modelled stiffness in them."""
+    out = ball_tables / "out"
+    run_stage(with_ingest(ball_section(ball_tables), output=str(out)))
+    said = capsys.readouterr()
+    assert_says(said.out, "read as um, peak-to-peak, phase lag in deg, speed in rpm", "A (node 0, 45 deg)")
+    assert "warning" not in said.err
+    assert {p.name for p in out.iterdir()} == {
+        *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "ingest.json"),
+        "figures",
+    }
+    assert json.loads((out / "ingest.json").read_text())["runs"]["two"]["speeds"] == 25
+    run(
+        "train",
+        ["experiment=ball_bearing", "optimizer=levenberg_marquardt"],
+        ball_tables / "trained",
+        data=measured(out),
+    )
+    identified = pd.read_csv(ball_tables / "trained" / "identified_coefficients.csv")
+    assert identified["kxx"].to_numpy() == pytest.approx(464.16883e5, rel=1e-7)
+    assert identified["kyy"].to_numpy() == pytest.approx(1009.06269e5, rel=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_ingest_in_place_is_what_training_takes_next(ball_tables: Path, machine: MachineFactory) -> None:
+    """In the experiment's own folder training reads the measured data; generate does not replace them, ingest does."""
+    out = ball_tables / "out"
+    config = with_ingest(ball_section(ball_tables), output=str(out))
+    run_stage(config)
+    with refused("generate must not replace what it did not write"):
+        run_stage(config.model_copy(update={"stage": "generate"}))
+    before = (out / "vibration.parquet").read_bytes()
+    run_stage(config)
+    assert (out / "vibration.parquet").read_bytes() == before
+    rotor = machine("experiment=ball_bearing").rotor
+    second = read_dataset(out / "vibration.parquet", out / "excitation.csv", rotor).excitations[1]
+    assert (second.phase, second.magnitude) == (pytest.approx(1.0), pytest.approx(2e-4))
+
+
 @pytest.mark.usefixtures("no_figures")
 def test_generated_and_foreign_data_are_not_replaced(ball_tables: Path) -> None:
     out = ball_tables / "out"
@@ -222,6 +267,22 @@ def test_units_that_the_model_contradicts_are_warned_of(
                 require_clearance(made.dataset, {node: {"law": source} for node in (0, 1, 2)})
 
 
+@pytest.mark.usefixtures("no_figures")
+def test_without_known_coefficients_it_says_what_training_needs(
+    ball_tables: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where all eight are unknown the file is made; where some are known somebody must give them."""
+    out = ball_tables / "out"
+    section = ball_section(ball_tables, known=None)
+    run_stage(with_ingest(section, output=str(out)))
+    assert not (out / "known_coefficients.csv").exists()
+    assert "must be known before a fit: give machine.recordings.known" in capsys.readouterr().out
+    mapping = json.loads(_mapping())
+    mapping["identify"]["unknowns"] = ["kxx", "kyy", *KNOWN]
+    run_stage(with_ingest(section, output=str(out), identify=mapping["identify"]))
+    assert list(pd.read_csv(out / "known_coefficients.csv")) == ["bearing_node", "speed_rpm"]
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,3 +302,26 @@ def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsy
         with refused(words, kind=ConfigError):
             run_stage(with_ingest(section, output=str(ball_tables / "x")))
     assert not (ball_tables / "x").exists()
+
+
+@pytest.mark.slow
+def test_figures_show_something(tmp_path: Path) -> None:
+    """Pictures of some size with curves in several colours; one speed, and a baseline that stands still, among them."""
+    from matplotlib import image
+
+    from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits
+
+    dataset = read(table_config(wide_runs(tmp_path)))
+    displacement = dataset.displacement * np.array([0.0, 1.0])
+    still = VibrationDataset(dataset.speeds, dataset.runs, dataset.channels, displacement, dataset.excitations)
+    one = VibrationDataset(dataset.speeds[:1], dataset.runs, dataset.channels, displacement[:1], dataset.excitations)
+    node = dataset.channels[0][0]
+    probes = {"left": (node, 45.0), "right": (node, 135.0), "odd": (node, 0.0)}
+    for path in (
+        draw_bode(tmp_path / "a.png", still, "one", probes),
+        draw_measured_orbits(tmp_path / "b.png", dataset, None),
+        draw_measured_orbits(tmp_path / "c.png", one, "one"),
+    ):
+        pixels = image.imread(path)
+        assert min(pixels.shape[:2]) > 500
+        assert (np.ptp(pixels[..., :3], axis=-1) > 0.2).sum() > 500

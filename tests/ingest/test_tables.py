@@ -54,6 +54,14 @@ def test_wide_tables(ending: str, tmp_path: Path) -> None:
     check_read(read(table_config(wide_runs(tmp_path, ending))))
 
 
+@pytest.mark.parametrize("ending", [".csv", ".xlsx"])
+def test_long_tables(ending: str, tmp_path: Path) -> None:
+    table = long({name: seen(turn) for name, turn in TURNS.items()} | {"spare": seen()}).sample(frac=1, random_state=1)
+    path = tmp_path / f"all{ending}"
+    table.to_excel(path, index=False) if ending == ".xlsx" else table.to_csv(path, index=False)
+    check_read(read(table_config(RUNS, "long", file=str(path), leave_out=["spare"])))
+
+
 def test_a_table_as_written_elsewhere(tmp_path: Path) -> None:
     """Semicolons, decimal commas and lines before the header, said in the configuration."""
     runs = wide_runs(tmp_path)
@@ -135,6 +143,12 @@ def test_uneven_speeds_are_not_swung_through(tmp_path: Path) -> None:
     assert np.abs(found.displacement[..., 0]).max() < 1.1 * max(np.abs(v).max() for v in noisy.values()) * 2**0.5
 
 
+def test_speeds_that_are_nearly_the_same(tmp_path: Path) -> None:
+    """Without a grid, speeds of two runs are one where they differ by less than 0.1 %."""
+    runs = wide_runs(tmp_path, two=Vectors(GRID * 1.0004, seen(1.1).of))
+    assert read(table_config(runs)).speeds == pytest.approx(GRID * 1.0002 * RPM, rel=1e-9)
+
+
 Damage = Callable[[pd.DataFrame], pd.DataFrame | str]
 BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
     "NaN": (put("A amp", np.nan), "must have finite numbers in the column 'A amp'", "row 6"),
@@ -188,6 +202,15 @@ def test_a_damaged_table_is_refused(case: str, tmp_path: Path) -> None:
         read(table_config(runs))
 
 
+def test_a_truncated_excel_file_is_refused(tmp_path: Path) -> None:
+    runs = wide_runs(tmp_path, ".xlsx")
+    path = Path(runs[0]["file"])
+    for content in (path.read_bytes()[:-700], b"PK\x03\x04" + bytes(200), b"speed,A amp\n"):
+        path.write_bytes(content)
+        with refused("must be a complete Excel file", str(path)):
+            read(table_config(runs))
+
+
 @pytest.mark.parametrize(
     ("unit", "span", "said"),
     [
@@ -237,6 +260,11 @@ def test_phases_of_the_other_unit_are_warned_of(written: str, said: str, tmp_pat
     words = "in radians" if said == "deg" else "in degrees"
     assert words in notes(table_config(runs, conventions=CONVENTIONS | {"phase_unit": said}))
     assert words not in notes(table_config(runs, conventions=CONVENTIONS | {"phase_unit": written}))
+
+
+def test_lengths_that_are_a_thousand_times_too_large(tmp_path: Path) -> None:
+    with refused("must have amplitudes below 1 m, but got", "check the unit", "one.csv"):
+        read(table_config(wide_runs(tmp_path), conventions=CONVENTIONS | {"length": "m"}))
 
 
 @pytest.mark.parametrize(

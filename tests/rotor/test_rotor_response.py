@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import Machine, MachineFactory, bearings_of
+from conftest import Machine, MachineFactory, bearings_of, examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.machines import refined
@@ -16,13 +17,15 @@ from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import Excitation, assemble_forces
 from pipeline.data.simulate import solve_response
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
 from pipeline.rotor.ross_adapter import assemble
+from pipeline.twin.modes import find_critical_speeds, find_modes
+from pipeline.units import RAD_S_PER_RPM
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 
@@ -148,6 +151,15 @@ def test_jeffcott_rotor(stiffness: float, damping: float) -> None:
     assert np.abs(response / expected - 1).max() < 1e-8
 
 
+def test_jeffcott_critical_speed() -> None:
+    """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's mass (0.003 %) may lower it by 1e-5."""
+    expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
+    speeds = expected * np.linspace(0.8, 1.2, 8)
+    found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
+    assert len(found) == 2  # forward and backward, the same without gyroscopic effect
+    assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
+
+
 def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length() -> None:
     """Simply supported Rayleigh beam: w_n^2 = (E I / rho A) k^4 / (1 + (k r)^2) with k = n pi / L.
 
@@ -178,6 +190,35 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
 
 
 PHASES = st.floats(-math.pi, math.pi)
+
+
+@examples(25)
+@given(turn=PHASES, phase=PHASES, scale=st.floats(1e-3, 1e3))
+def test_turning_the_unbalance_turns_the_response(
+    hydrostatic: Machine, turn: float, phase: float, scale: float
+) -> None:
+    """An unbalance turned by phi and multiplied by s gives s e^{j phi} Q: a turn is a shift in time."""
+    few = hydrostatic.bearings.at(np.arange(0, 60, 12))
+    before = Excitation("a", "unbalance", 4, 1e-4, phase)
+    after = replace(before, run="b", phase=phase + turn, magnitude=1e-4 * scale)
+    q = solve_response(hydrostatic.rotor, few, (before, after), ("a", "b"))
+    wanted = scale * np.exp(1j * turn) * q[..., 0]
+    assert np.abs(q[..., 1] - wanted).max() <= 1e-10 * np.abs(wanted).max()
+
+
+def test_isotropic_bearings_give_circular_orbits(hydrostatic: Machine) -> None:
+    """On an axisymmetric system (also with kxy = -kyx) unbalance excites forward whirl only: Q_y = -j Q_x."""
+    table = bearings_of(
+        hydrostatic.rotor.bearing_nodes,
+        hydrostatic.speeds,
+        **{"kxx": 2e7, "kyy": 2e7, "kxy": 3e6, "kyx": -3e6, "cxx": 2e4, "cyy": 2e4, "cxy": 1e3, "cyx": -1e3},
+    )
+    q = solve_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
+    x, y = q[:, 0::4], q[:, 1::4]
+    assert np.abs(y + 1j * x).max() <= 1e-10 * np.abs(x).max()
+    backward = tuple(replace(e, whirl="backward") for e in hydrostatic.excitations)
+    q = solve_response(hydrostatic.rotor, table, backward, hydrostatic.runs)
+    assert np.abs(q[:, 1::4] - 1j * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
 
 
 def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
@@ -255,6 +296,23 @@ def test_product_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Gener
     assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
+def test_unbalance_force(hydrostatic: Machine) -> None:
+    """method.md, section 1: F = w^2 m e e^{jp} [1, -j] forward, [1, +j] backward; a force has no w^2."""
+    w = np.array([10.0, 300.0])
+    made = (
+        Excitation("a", "unbalance", 2, 1e-4, 0.3),
+        Excitation("b", "unbalance", 2, 1e-4, 0.3, "backward"),
+        Excitation("c", "force", 3, 5.0, -1.0),
+    )
+    force = assemble_forces(hydrostatic.rotor, made, ("a", "b", "c"), w)
+    size = 1e-4 * w**2 * np.exp(0.3j)
+    np.testing.assert_allclose(force[:, 8:10, 0], np.stack([size, -1j * size], axis=1), rtol=1e-14)
+    np.testing.assert_allclose(force[:, 8:10, 1], np.stack([size, 1j * size], axis=1), rtol=1e-14)
+    rotating = np.tile(5 * np.exp(-1j) * np.array([1, -1j]), (2, 1))
+    np.testing.assert_allclose(force[:, 12:14, 2], rotating, rtol=1e-14)
+    assert np.count_nonzero(force) == 12
+
+
 def test_singular_system_is_refused(hydrostatic: Machine) -> None:
     """A DOF without mass and stiffness makes D singular: a sentence with the speed, never a zero or a NaN."""
     rotor = hydrostatic.rotor
@@ -265,3 +323,23 @@ def test_singular_system_is_refused(hydrostatic: Machine) -> None:
         solve_response(replace(rotor, **matrices), hydrostatic.bearings, hydrostatic.excitations, hydrostatic.runs)
     with pytest.raises(PipelineError, match="singular"):
         solve(banded(rotor), np.ones(1), np.ones(1), np.full((1, rotor.n_dof, 1), np.nan))
+
+
+def test_rigid_body_without_bearings_is_free(hydrostatic: Machine) -> None:
+    """Newton: the shaft and discs hold themselves only. K moves no rigid body, and M weighs the rotor."""
+    rotor = hydrostatic.rotor
+    moved = np.zeros(rotor.n_dof)
+    moved[0::4] = 1.0
+    assert np.abs(rotor.stiffness @ moved).max() < 1e-9 * np.abs(rotor.stiffness).max()
+    assert moved @ rotor.mass @ moved == pytest.approx(rotor.total_mass, rel=1e-12)
+    for matrix, sign in ((rotor.mass, 1), (rotor.stiffness, 1), (rotor.gyroscopic, -1)):
+        assert np.abs(matrix - sign * matrix.T).max() <= 1e-12 * np.abs(matrix).max()
+
+
+def test_rigid_rotor_far_above_its_critical_speeds() -> None:
+    """A free rotor turns about its centre of mass: with U at its middle, Q there tends to -U / m."""
+    shaft = {"length": 0.2, "outer_diameter": 0.1, "elements": 2}
+    rotor = assemble(RotorConfig.model_validate({"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}))
+    table = bearings_of((0, 2), np.array([6000.0]) * RAD_S_PER_RPM, kxx=100.0, kyy=100.0)
+    q = solve_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
+    assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)
