@@ -86,7 +86,7 @@ def test_critically_damped_speeds_stand_apart() -> None:
         factor, _ = amplify(decrement) or (None, 0.0)
         margin = {"separation_margin_required_percent": require_separation(factor, above=True)}
         modes[str(rpm)] = margin | {"rpm": rpm, "logarithmic_decrement": decrement, "rpm_std": 5.0}
-    assert list_critical_speeds(fit, modes) == (
+    assert list_critical_speeds(fit, {"critical_speeds": modes}) == (
         "2362.1 +- 5.0 rpm (logarithmic decrement 0.42), between 600 and 3000 rpm; "
         "critically damped (amplification factor below 2.5): 980.0 +- 5.0 rpm"
     )
