@@ -20,9 +20,9 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1692,
+    "config": 1696,
     "laws": 482,
-    "rotor": 738,
+    "rotor": 740,
     "data": 1069,
     "parameters": 446,
     "sweep": 246,
@@ -37,7 +37,7 @@ STATEMENTS = {
     "methods": 554,
     "comparison": 116,
     "tuning": 489,
-    "reporting": 2498,
+    "reporting": 2504,
     "tracking": 351,
     "stages": 1129,
     "beside the rooms": 572,
@@ -45,7 +45,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18559, 14500),
+    "statements of pipeline/": (18571, 14500),
     "files": (248, 250),
     "classes": (328, 260),
     "is None, is not None": (335, 420),

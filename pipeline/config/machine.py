@@ -200,6 +200,15 @@ class MachineConfig(Section):
             yield f"as_built.{alone} needs runs that turn with the rotor, but one does not"
 
     @rule
+    def _turns(self) -> Iterator[str]:
+        turning = [run.name for run in self.runs if not run.frequency_hz]
+        if turning and not self.speeds.start_rpm:
+            yield (
+                f"speeds.start_rpm must be above zero where a run turns with the rotor, but it is 0, and run "
+                f"'{turning[0]}' has no frequency_hz: start at a higher speed, or give a force its frequency"
+            )
+
+    @rule
     def _names_and_nodes(self) -> Iterator[str]:
         names = [run.name for run in self.runs]
         if len(set(names)) != len(names):

@@ -113,33 +113,22 @@ def draw_bode(
 
 def draw_responses(path: Path, probes: Sequence[str], tests: Sequence[FrequencyResponse]) -> Path:
     """Displacement over force of every probe and run, with its band, over its coherence."""
-    looks, half = (
-        choose_looks([test.run.name for test in tests]),
-        MICROMETRES / np.sqrt(2),
-    )  # noise of the amplitude alone
-    shown = [
-        (
-            Curve(test.frequencies, MICROMETRES * np.abs(response), **look, deviation=half * noise),
-            Curve(test.frequencies, coherence, **look),
-        )
-        for test, look in zip(tests, looks, strict=True)
-        for response, noise, coherence in zip(test.response.T, test.noise.T, test.coherence.T, strict=True)
-    ]
-    titles = (("displacement over force (µm/N)", "log"), ("coherence", "linear"))
-    panels = [
-        Panel(
-            probe,
-            "frequency (Hz)",
-            [
-                Axes([pair[i] for pair in shown[p :: len(probes)]], title, scale=scale)
-                for i, (title, scale) in enumerate(titles)
-            ],
-        )
-        for p, probe in enumerate(probes)
-    ]
-    return write_figure(
-        path, Figure("responses", "Averaged responses to the measured force, with their bands.", panels)
-    )
+    panels, looks = [], choose_looks([test.run.name for test in tests])
+    for p, probe in enumerate(probes):
+        above, below = [], []
+        for look, test in zip(looks, tests, strict=True):
+            deviation = MICROMETRES * test.noise[:, p] / np.sqrt(2)  # of the amplitude alone
+            above.append(
+                Curve(test.frequencies, MICROMETRES * np.abs(test.response[:, p]), **look, deviation=deviation)
+            )
+            below.append(Curve(test.frequencies, test.coherence[:, p], **look))
+        axes = [
+            Axes(above, "displacement over force (µm/N)", scale="log"),
+            Axes(below, "coherence", y_range=(0.0, 1.0)),
+        ]
+        panels.append(Panel(probe, "frequency (Hz)", axes))
+    caption = "Averaged responses to the measured force, with their bands."
+    return write_figure(path, Figure("responses", caption, panels))
 
 
 def find_lag(vectors: np.ndarray) -> np.ndarray:

@@ -145,7 +145,15 @@ class CylindricalBearingConfig(_JournalBearing):
     static_load: ModelledLoad | None = None
 
     def tabulate(self, speeds: np.ndarray, operating: Operating, share: float, ross: Any) -> np.ndarray:
-        """(S, 8) by ROSS, which takes one viscosity and one load; where these follow conditions by its closed form."""
+        """(S, 8) by ROSS, which takes one viscosity and one load; where these follow conditions by its closed form.
+
+        Raises ConfigError for a journal at rest, too.
+        """
+        if (speeds <= 0).any():
+            raise ConfigError(
+                "a cylindrical bearing must turn, since no film carries its journal at rest, but got 0 rpm: choose "
+                "bearings.kind=linear"
+            )
         if not self.conditions:
             return super().tabulate(speeds, operating, share, ross)
         load, viscosity = self.find_film(operating, share, len(speeds))

@@ -52,6 +52,7 @@ def small(*overrides: str) -> Config:
         (["loss=residual"], "identify.model_parameters must come with loss=response"),
         (["identify.model_parameters.stiffness=0.1"], "has no 'stiffness'"),
         (["machine.bearings.nodess=3"], "did you mean 'nodes'"),
+        (["machine.speeds.start_rpm=0"], "must be above zero where a run turns with the rotor"),
         (["+machine.as_built.pedestal_mass=20 kg"], "must have a pedestal_stiffness beside pedestal_mass"),
         (["+machine.as_built.shaft=[{length: 1 m, outer_diameter: 50 mm, elements: 3}]"], "have the 8 elements"),
         (["+machine.as_built.method=time", "+machine.runs.3.frequency_ratio=0.5"], "turn with the rotor"),
