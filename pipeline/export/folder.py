@@ -22,68 +22,28 @@ from pipeline.data.excitation_files import run_excitations
 from pipeline.data.operating import split_states
 from pipeline.data.tables import write_table
 from pipeline.export.coefficients import BRIEF, NAMES, Document, Exported, Number, document, list_conventions, tabulate
-from pipeline.files import write_json, write_text
+from pipeline.files import render, write_json, write_text
 from pipeline.identification.identified import Answer
 from pipeline.problem.measurement import Measurement
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
 from pipeline.write_numbers import write_number
 
-_ANSYS_NAMES = dict(zip(COEFFICIENTS, ("K11", "K12", "K21", "K22", "C11", "C12", "C21", "C22"), strict=True))
-_COMBI214 = (("K11", "K22", "K12", "K21", "C11", "C22"), ("C12", "C21"))
-"""Real constants of the element in its own order: six on R, the others on RMORE."""
+_TEMPLATES = Path(__file__).with_name("templates")
+"""Of texts for other programs, by the format's name: each begins with where it is described."""
 
 
-def write_dyrobes(exported: Exported, b: int) -> str:
-    """``N, unit, Nc, kRot, 0, 0, 0 comments``, then ``rpm, Kxx .. Cyy`` a line: counter-clockwise rotation, kRot 0.
-
-    The unit is 2 for s, in, lbf, lbm, and 3 for s, m, N, kg.
-    """
-    units = " and ".join(NAMES[exported.units])
-    text = f"{exported.title}, node {exported.table.nodes[b]}: {units}; {BRIEF}"
-    head = f"{len(exported.rpm)}, {3 if exported.units == 'si' else 2}, 8, 0, 0, 0, 0  {text}"
-    rows = [
-        ", ".join([f"{rpm:.6f}", *(f"{value:.9E}" for value in row)])
-        for rpm, row in zip(exported.rpm, exported.values[b], strict=True)
-    ]
-    return "\n".join([head, *rows]) + "\n"
-
-
-def write_ansys_file(exported: Exported, b: int) -> str:
-    """ANSYS's bearing characteristics file: no transformation of the units, speeds in rpm that become rad/s.
-
-    Its columns give speeds two decimals of an rpm, and coefficients eight digits.
-    """
-    titles = [
-        f"{exported.title}, bearing at node {exported.table.nodes[b]}",
-        f"{' and '.join(NAMES[exported.units])}, speeds in rpm; 1 is x, 2 is y",
-        BRIEF,
-    ]
-    lines = [title[:80] for title in titles] + [f"{len(exported.rpm):10d}{0:10d}{1:10d}"]
-    for i, (rpm, row) in enumerate(zip(exported.rpm, exported.values[b], strict=True), start=1):
-        lines.append(f"{i:10d}{rpm:10.2f}")
-        lines += ["".join(f"{value:15.7E}" for value in half) for half in (row[:4], row[4:])]
-    return "\n".join(lines) + "\n"
-
-
-def write_apdl(exported: Exported, b: int) -> str:
-    """APDL input: COMBI214 in the XY plane, not symmetric, with tables over the rotational velocity (OMEGS, rad/s)."""
-    node = exported.table.nodes[b]
-    lines = [f"! {sentence}" for sentence in exported.conventions()]
-    lines.append(f"! bearing at node {node}; /INPUT this in PREP7; type and real constant set are {node + 1}")
-    lines += [f"ET,{node + 1},COMBI214", f"KEYOPT,{node + 1},2,0", f"KEYOPT,{node + 1},3,1"]
-    several = len(exported.rpm) > 1
-    constants = {}
-    for c, name in enumerate(COEFFICIENTS):
-        parameter, values = f"{_ANSYS_NAMES[name]}_{node}", exported.values[b, :, c]
-        constants[_ANSYS_NAMES[name]] = f"%{parameter}%" if several else f"{values[0]:.9E}"
-        if several:
-            lines.append(f"*DIM,{parameter},TABLE,{len(values)},1,1,OMEGS")
-            for i, (speed, value) in enumerate(zip(exported.table.speeds, values, strict=True), start=1):
-                lines += [f"{parameter}({i},0)={speed:.9E}", f"{parameter}({i},1)={value:.9E}"]
-    for command, names in zip((f"R,{node + 1}", "RMORE"), _COMBI214, strict=True):
-        lines.append(",".join([command, *(constants[name] for name in names)]))
-    return "\n".join(lines) + "\n"
+def write_for(name: str, exported: Exported, b: int) -> str:
+    """A bearing in the format of another program: of the template ``dyrobes.txt``, ``ansys.txt`` (the bearing
+    characteristics file), or ``ansys.inp`` (APDL)."""
+    return render(
+        _TEMPLATES / name,
+        exported=exported,
+        node=exported.table.nodes[b],
+        units=" and ".join(NAMES[exported.units]),
+        brief=BRIEF,
+        rows=list(zip(exported.rpm, exported.values[b], strict=True)),
+    )
 
 
 def write_workbook(
@@ -178,11 +138,10 @@ def write_exports(
         write_text(folder / "coefficients.schema.json", json.dumps(Document.model_json_schema(), indent=2) + "\n")
     for exported, (b, node) in itertools.product(states, enumerate(states[0].table.nodes)):
         name = f"node_{node}{exported.suffix}"
-        if "dyrobes" in formats:
-            write_text(folder / f"dyrobes_{name}.txt", write_dyrobes(exported, b))
-        if "ansys" in formats:
-            write_text(folder / f"ansys_{name}.txt", write_ansys_file(exported, b))
-            write_text(folder / f"ansys_{name}.inp", write_apdl(exported, b))
+        for template in sorted(_TEMPLATES.iterdir()):
+            if template.stem in formats:
+                text = write_for(template.name, exported, b)
+                write_text(folder / f"{template.stem}_{name}{template.suffix}", text)
     if "ross" in formats:
         notes.append(_write_ross(folder, config, updated, states))
     return notes

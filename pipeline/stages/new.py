@@ -12,7 +12,7 @@ from pipeline.config.messages import quote_override
 from pipeline.config.own_machines import clean_name, make_absolute
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import ConfigError, DataError
-from pipeline.files import write_text
+from pipeline.files import render, write_text
 from pipeline.ingest.recognition import recognize_recordings
 from pipeline.reporting.console import say
 from pipeline.rotor.stored import load_rotor
@@ -74,7 +74,7 @@ def insert_guesses(text: str, guesses: Mapping[str, str]) -> str:
 def fill_template(path: Path, bearings: str, data: str, supports: str = "none", probes: str = "shaft") -> str:
     """The text of a machine file for this kind of bearings, source of data, supports, and motion that probes measure.
 
-    In ``machine_file.yaml``, a line such as ``#: simulated fluid_film`` begins a part of files that are all of that.
+    In ``machine_file.yaml``, ``{% if simulated and fluid_film %}`` begins a part of files that are all of that.
     """
     sections = {
         "simulated": {"simulated"},
@@ -85,11 +85,5 @@ def fill_template(path: Path, bearings: str, data: str, supports: str = "none", 
     }
     seen = {"shaft": {"shaft"}, "both": {"relative", "casing", "ground"}}.get(probes, {probes, "ground"})
     tags = {bearings, supports} | sections[data] | seen
-    lines, wanted = [], True
-    for line in TEMPLATE.read_text(encoding="utf-8").splitlines(keepends=True):
-        if line.startswith("#:"):
-            wanted = set(line.split()[1:]) <= tags
-        elif wanted:
-            lines.append(line)
     command = f"python -m pipeline stage=identify {quote_override('machine.file', path.name)}"
-    return "".join(lines).replace("{command}", command).replace("{name}", clean_name(path))
+    return render(TEMPLATE, command=command, name=clean_name(path), **dict.fromkeys(tags, True))

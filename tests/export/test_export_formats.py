@@ -17,7 +17,7 @@ from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError, DataError, StorageError
 from pipeline.export.coefficients import Document, Exported, document, tabulate
-from pipeline.export.folder import write_ansys_file, write_apdl, write_dyrobes, write_workbook
+from pipeline.export.folder import write_for, write_workbook
 from pipeline.files import write_folder
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM
@@ -67,7 +67,7 @@ def test_csv_reads_as_known_coefficients(exported: Exported, tmp_path: Path) -> 
 def test_dyrobes(exported: Exported) -> None:
     """``N, unit, Nc, kRot, 0, 0, 0 comments``, then a line a speed; unit systems 3 (s, m, N) and 2 (s, in, lbf)."""
     for b in range(2):
-        head, *lines = write_dyrobes(exported, b).splitlines()
+        head, *lines = write_for("dyrobes.txt", exported, b).splitlines()
         assert re.match(rf"6, {'3' if exported.units == 'si' else '2'}, 8, 0, 0, 0, 0  toy, node {(1, 5)[b]}: ", head)
         assert len(head) < 200
         assert "from x to y (CCW)" in head
@@ -78,7 +78,7 @@ def test_dyrobes(exported: Exported) -> None:
 
 def test_ansys_bearing_file(exported: Exported) -> None:
     """Fixed columns: three titles of 80, 3I10, then I10 F10.2 and twice 4E15.7 (K11, K12, K21, K22; C11 ..)."""
-    lines = write_ansys_file(exported, 1).splitlines()
+    lines = write_for("ansys.txt", exported, 1).splitlines()
     assert all(len(line) <= 80 for line in lines)
     assert [int(lines[3][i : i + 10]) for i in (0, 10, 20)] == [6, 0, 1]  # no change of units, rpm into rad/s
     for i, rpm in enumerate(RPM):
@@ -113,7 +113,7 @@ def interpret(text: str) -> tuple[dict[str, np.ndarray], list[str], list[str]]:
 
 def test_apdl(exported: Exported) -> None:
     """COMBI214 takes K11, K22, K12, K21, C11, C22, C12, C21 in this order, over OMEGS in rad/s."""
-    text = write_apdl(exported, 1)
+    text = write_for("ansys.inp", exported, 1)
     tables, constants, others = interpret(text)
     assert constants == [f"%{name}_5%" for name in ["K11", "K22", "K12", "K21", "C11", "C22", "C12", "C21"]]
     assert others == ["ET,6,COMBI214", "KEYOPT,6,2,0", "KEYOPT,6,3,1"]
@@ -126,7 +126,9 @@ def test_apdl(exported: Exported) -> None:
 
 
 def test_apdl_of_one_speed_has_constants(exported: Exported) -> None:
-    tables, constants, _ = interpret(write_apdl(replace(exported, table=exported.table.at(np.array([2]))), 0))
+    tables, constants, _ = interpret(
+        write_for("ansys.inp", replace(exported, table=exported.table.at(np.array([2]))), 0)
+    )
     assert not tables
     order = [0, 3, 1, 2, 4, 7, 5, 6]
     found = np.array([float(word) for word in constants]) * scale(exported)

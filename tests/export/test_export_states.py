@@ -16,7 +16,7 @@ from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.tables import write_table
 from pipeline.errors import ConfigError
 from pipeline.export.coefficients import Document, Exported, Number, document, list_conventions, tabulate
-from pipeline.export.folder import list_states, write_dyrobes, write_workbook
+from pipeline.export.folder import list_states, write_for, write_workbook
 
 NUMBERS = [Number(name="node 8 radial clearance", value=99.9, std=0.07, unit="um")]
 
@@ -80,6 +80,6 @@ def test_json_and_workbook_have_every_state_and_the_numbers(states: list[Exporte
 
 def test_formats_of_the_speed_alone_name_the_state(states: list[Exported]) -> None:
     assert [one.suffix for one in states] == ["_45_degC", "_70_degC"]
-    assert "toy, 70 degC, node 5" in write_dyrobes(states[1], 1)
+    assert "toy, 70 degC, node 5" in write_for("dyrobes.txt", states[1], 1)
     assert list_conventions(states)[0].startswith("toy: identified")
     assert list_conventions(states)[-1] == "States: 45 degC; 70 degC."

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.files import write_beside, write_text
+from pipeline.files import render, write_beside, write_text
 from pipeline.reporting.blocks import (
     GREY,
     MICROMETRES,
@@ -35,7 +35,6 @@ from pipeline.reporting.matplotlib_figures import PANEL_WIDTH, draw_image, measu
 
 _NUMBER = re.compile(r"[-+–]?[\d.]*(e[-+]?\d+)?( ± [\d.]+)?( \*)?")
 """Columns of these are aligned to the right."""
-_FOLDER = Path(__file__).parent
 _SYMBOLS = {"o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down", "x": "x-thin"}
 _FONT = {"family": "system-ui, sans-serif", "size": 11, "color": "#222"}
 _GRID = {
@@ -58,17 +57,16 @@ def write_page(path: Path, title: str, head: Mapping[str, str], sections: Sequen
 
     Raises StorageError.
     """
-    from jinja2 import Environment, FileSystemLoader
     from plotly.offline import get_plotlyjs
 
-    environment = Environment(loader=FileSystemLoader(_FOLDER), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["typeset"] = typeset
     figures = [block for _, _, blocks in sections for block in blocks if isinstance(block, Figure)]
     every = [panel for figure in figures for panel in figure.panels]
     panels = {panel: _describe_panel(panel) | {"id": f"panel{i}"} for i, panel in enumerate(every)}
     return write_text(
         path,
-        environment.get_template("page.html").render(
+        render(
+            Path(__file__).with_name("page.html"),
+            typeset=typeset,
             title=title,
             head=head,
             paper=paper,
