@@ -68,36 +68,40 @@ def read_coefficients(
     speeds: np.ndarray,
     of: Mapping[int, Sequence[str]] | None = None,
     operating: Operating | None = None,
+    between: bool = False,
 ) -> BearingTable:
     """Coefficients of the bearings at ``nodes``, ``speeds`` (S,) rad/s and ``operating`` conditions (S,) each: those
     that ``of`` names for each node, or all; the others are zero.
 
-    Raises DataError where a bearing or a point has no row.
+    The table must have every speed. With ``between`` a cubic spline goes through its speeds (straight lines through
+    less than four), and a bearing of one row without a speed has the same coefficients at every speed. A table without
+    operating conditions holds at all of them. Raises DataError for a bearing or a coefficient that the table lacks, a
+    speed that is there twice, and speeds and conditions that it does not cover.
     """
     operating, of = operating or {}, of or dict.fromkeys(nodes, COEFFICIENTS)
-    kinds = {"bearing_node": "number", "speed_rpm": "number"} | _list_kinds(of, nodes)
-    table, states = _read_states(path, kinds, {}, operating)
-    used = {name: operating[name] for name in states}
-    wanted = _make_keys(to_rpm(speeds), used).tolist()
-    given = np.column_stack([table["bearing_node"], _make_keys(table["speed_rpm"], states)])
-    places = {tuple(key): row for row, key in enumerate(given.tolist())}
-    if len(places) < len(given):
-        law = f"one row a bearing and speed{' at each condition' if states else ''}"
-        raise DataError(f"'{path}' must have {law}, but some are there twice")
+    kinds = {"bearing_node": "number"} | ({} if between else {"speed_rpm": "number"}) | _list_kinds(of, nodes)
+    table, states = _read_states(path, kinds, {"speed_rpm": "number or blank"} if between else {}, operating)
+    table.setdefault("speed_rpm", np.full(len(table["bearing_node"]), np.nan))
     values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
+    used = {name: operating[name] for name in states}
+    given, wanted = _make_keys(len(table["bearing_node"]), states), _make_keys(len(speeds), used)
     for b, node in enumerate(nodes):
-        has = sorted({int(n) for n in table["bearing_node"]})
-        if node not in has:
-            raise DataError(f"'{path}' must have rows for the bearing at node {node}, but it has bearings at {has}")
-        rows = np.array([places.get((node, *key), -1) for key in wanted])
-        columns = np.array([table[name][rows] for name in of[node]]).reshape(-1, len(rows))
-        missing = np.flatnonzero((rows < 0) | np.isnan(columns).any(axis=0))
-        if len(missing):
-            raise DataError(
-                f"'{path}' must have every speed of the data, but {len(missing)} are missing for the bearing at node "
-                f"{node} (the first: {wanted[missing[0]][0]:g} rpm{describe_point(used, missing[0], ', ')})"
-            )
-        values[b][:, [COEFFICIENTS.index(name) for name in of[node]]] = columns.T
+        if not of[node]:
+            continue
+        own = np.flatnonzero(table["bearing_node"] == node)
+        if not len(own):
+            has = sorted({f"{number:g}" for number in table["bearing_node"]})
+            raise DataError(f"'{path}' must have rows of the bearing at node {node}, but it has {', '.join(has)}")
+        for state in np.unique(wanted, axis=0):
+            at = np.flatnonzero((wanted == state).all(axis=1))
+            rows = own[(given[own] == state).all(axis=1)]
+            where = f"'{path}', bearing at node {node}{describe_point(used, at[0], ', ')},"
+            if between and not len(rows):
+                raise DataError(f"{where} must have rows at the conditions of the data, but it has none: add them")
+            columns = {name: table[name][rows] for name in ("speed_rpm", *of[node])}
+            known = _interpolate(columns, to_rpm(speeds[at]), where, between)
+            for name, column in known.items():
+                values[b, at, COEFFICIENTS.index(name)] = column
     return BearingTable(tuple(nodes), speeds, values, operating)
 
 
@@ -133,65 +137,30 @@ def _read_states(
     return table, states
 
 
-def _make_keys(rpm: np.ndarray, states: Operating) -> np.ndarray:
-    """(n, 1 + conditions) what tells points apart: speeds of two files are the same where they agree to a millionth of
-    an rpm, conditions where nine digits do.
-    """
+def _make_keys(count: int, states: Operating) -> np.ndarray:
+    """(n, 1 + conditions) what tells conditions apart: they are the same where nine digits agree."""
     digits = ([float(f"{value:.9g}") for value in values] for values in states.values())
-    return np.stack([np.round(rpm, 6), *map(np.array, digits)], axis=1)
+    return np.stack([np.zeros(count), *map(np.array, digits)], axis=1)
 
 
-def read_known(
-    path: Path,
-    nodes: Sequence[int],
-    speeds: np.ndarray,
-    of: Mapping[int, Sequence[str]],
-    operating: Operating | None = None,
-) -> BearingTable:
-    """The coefficients that ``of`` names for each node, at ``speeds`` (S,) rad/s and ``operating`` conditions (S,)
-    each; the others are zero.
-
-    Between the table's speeds: a cubic spline (linear for less than four). A bearing of one row without a speed has the
-    same coefficients at every speed, a table without operating conditions the same at all of them. Raises DataError for
-    a bearing or a coefficient that the table lacks, a speed that is there twice, and speeds and conditions that it does
-    not cover.
-    """
-    operating = operating or {}
-    kinds = {"bearing_node": "number"} | _list_kinds(of, nodes)
-    table, states = _read_states(path, kinds, {"speed_rpm": "number or blank"}, operating)
-    table.setdefault("speed_rpm", np.full(len(table["bearing_node"]), np.nan))
-    values = np.zeros((len(nodes), len(speeds), len(COEFFICIENTS)))
-    given = _make_keys(np.zeros(len(table["bearing_node"])), states)
-    used = {name: operating[name] for name in states}
-    wanted = _make_keys(np.zeros(len(speeds)), used)
-    for b, node in enumerate(nodes):
-        if not of[node]:
-            continue
-        own = np.flatnonzero(table["bearing_node"] == node)
-        if not len(own):
-            has = sorted({f"{number:g}" for number in table["bearing_node"]})
-            raise DataError(f"'{path}' must have rows of the bearing at node {node}, but it has {', '.join(has)}")
-        for state in np.unique(wanted, axis=0):
-            at = np.flatnonzero((wanted == state).all(axis=1))
-            rows = own[(given[own] == state).all(axis=1)]
-            where = f"'{path}', bearing at node {node}{describe_point(used, at[0], ', ')},"
-            if not len(rows):
-                raise DataError(f"{where} must have rows at the conditions of the data, but it has none: add them")
-            columns = {name: table[name][rows] for name in ("speed_rpm", *of[node])}
-            known = _interpolate_known(columns, to_rpm(speeds[at]), where)
-            for name, column in known.items():
-                values[b, at, COEFFICIENTS.index(name)] = column
-    return BearingTable(tuple(nodes), speeds, values, operating)
-
-
-def _interpolate_known(table: Columns, rpm: np.ndarray, where: str, rounding: float = 1e-9) -> Columns:
-    """The coefficients of one bearing at one state, at speeds in rpm; ends may be missed by the share ``rounding``."""
+def _interpolate(
+    table: Columns, rpm: np.ndarray, where: str, between: bool, rounding: float = 1e-9, same: int = 6
+) -> Columns:
+    """The coefficients of one bearing at one state, at speeds in rpm: those of the table, which are the ``same`` where
+    so many decimals agree, or ``between`` them; ends may be missed by the share ``rounding``."""
     order = np.argsort(table["speed_rpm"], kind="stable")
     given = table["speed_rpm"][order]
     if np.isnan(given).any() and len(given) > 1:
         raise DataError(f"{where} must have speed_rpm in every row, or one row that holds at all speeds")
     if (np.diff(given) == 0).any():
         raise DataError(f"{where} must have one row a bearing and speed, but some are there twice")
+    if not between:
+        given, rpm = np.round(given, same), np.round(rpm, same)
+        if len(missing := np.flatnonzero(~np.isin(rpm, given))):
+            raise DataError(
+                f"{where} must have every speed of the data, but {len(missing)} are missing (the first: "
+                f"{rpm[missing[0]]:g} rpm)"
+            )
     if rpm.min() < given[0] * (1 - rounding) or rpm.max() > given[-1] * (1 + rounding):
         raise DataError(
             f"{where} must cover the speeds of the data ({write_number(rpm.min(), digits=6)} to "

@@ -15,7 +15,7 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import AS_MODELLED, KnownConfig
 from pipeline.config.runs import find_frequencies
 from pipeline.config.schema import Config
-from pipeline.data.coefficient_files import read_known
+from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.excitation_files import run_excitations
@@ -45,7 +45,7 @@ def load_known(
     each; the others are zero.
 
     ``given`` is what the configuration has at ``key``. None where some are needed and nothing gives them. Raises
-    ConfigError for values that lack one, DataError as :func:`pipeline.data.coefficient_files.read_known`.
+    ConfigError for values that lack one, DataError as :func:`pipeline.data.coefficient_files.read_coefficients`.
     """
     needed = list_known(config, nodes)
     operating = operating or {}
@@ -67,7 +67,7 @@ def load_known(
                 )
             blank.values[b, :, c] = value
         return blank
-    return read_known(Path(given), nodes, speeds, needed, operating)
+    return read_coefficients(Path(given), nodes, speeds, needed, operating, between=True)
 
 
 def require_known(known: BearingTable | None, config: Config, nodes: Sequence[int]) -> BearingTable:

@@ -12,7 +12,7 @@ from conftest import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.data.coefficient_files import read_coefficients, read_known, write_coefficients
+from pipeline.data.coefficient_files import read_coefficients, write_coefficients
 from pipeline.data.dataset import EVERYWHERE, Excitation, VibrationDataset
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.operating import join, spread_states
@@ -220,7 +220,7 @@ def test_coefficients_there_and_back_by_speed_and_conditions(tmp_path: Path) -> 
     )
     np.testing.assert_array_equal(found.values, table.values[::-1][:, some])
     warm = {"oil_temperature": np.array([338.15]), "load": np.array([500.0])}
-    with refused("must have every speed of the data, but 1 are missing", "100 rpm, 65 degC, 500 N"):
+    with refused("65 degC, 500 N, must have every speed of the data, but 1 are missing (the first: 100 rpm)"):
         read_coefficients(path, (1,), data.speeds[:1], operating=warm)
     with refused("which that lacks"):
         read_coefficients(path, (1,), data.speeds[:1])
@@ -231,12 +231,14 @@ def test_known_coefficients_hold_at_all_conditions_or_at_their_own(tmp_path: Pat
     rpm = np.array([100.0, 200.0, 100.0, 200.0]) * RAD_S_PER_RPM
     operating = {"oil_temperature": np.repeat(KELVIN, 2)}
     path.write_text("bearing_node,speed_rpm,cxx\n1,100,3\n1,300,5\n")
-    assert read_known(path, (1,), rpm, of, operating).values[0, :, 4] == pytest.approx([3, 4, 3, 4])
+    assert read_coefficients(path, (1,), rpm, of, operating, True).values[0, :, 4] == pytest.approx([3, 4, 3, 4])
     path.write_text("bearing_node,speed_rpm,oil_temperature_degC,cxx\n1,100,55,6\n1,100,45,3\n1,300,45,5\n1,300,55,8\n")
-    assert read_known(path, (1,), rpm, of, operating).values[0, :, 4] == pytest.approx([3, 4, 6, 7])
+    assert read_coefficients(path, (1,), rpm, of, operating, between=True).values[0, :, 4] == pytest.approx(
+        [3, 4, 6, 7]
+    )
     with refused("bearing at node 1, 65 degC, must have rows at the conditions of the data"):
-        read_known(path, (1,), rpm, of, {"oil_temperature": np.full(4, 338.15)})
+        read_coefficients(path, (1,), rpm, of, {"oil_temperature": np.full(4, 338.15)}, between=True)
     with refused(
         "must have every operating condition of the vibration or none, but it has oil_temperature and not load"
     ):
-        read_known(path, (1,), rpm, of, operating | {"load": np.full(4, 500.0)})
+        read_coefficients(path, (1,), rpm, of, operating | {"load": np.full(4, 500.0)}, between=True)

@@ -15,7 +15,7 @@ from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, ta
 from reading import DISC, GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
 from test_motion import PAIR
 
-from pipeline.data.coefficient_files import read_known
+from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.csv_format import CsvConfig
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_table
@@ -360,17 +360,19 @@ def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
     frame = pd.DataFrame({"bearing_node": 0, "speed_rpm": rpm, "cxx": 100 + (rpm / 1000) ** 2})
     frame.to_csv(tmp_path / "known.csv", index=False)
     of = {0: ("cxx",)}
-    found = read_known(tmp_path / "known.csv", (0,), np.array([600.0, 2222.0]) * RPM, of)
+    found = read_coefficients(tmp_path / "known.csv", (0,), np.array([600.0, 2222.0]) * RPM, of, between=True)
     assert found.coefficient("cxx")[0] == pytest.approx([100.36, 100 + 2.222**2])
     for speeds, nodes, words in (
         ([400.0], (0,), "must cover the speeds of the data (400 to 400 rpm), but it has 500 to 3000 rpm"),
         ([600.0], (1,), "must have rows of the bearing at node 1, but it has 0"),
     ):
         with refused(words):
-            read_known(tmp_path / "known.csv", nodes, np.array(speeds) * RPM, {0: ("cxx",), 1: ("cxx",)})
+            read_coefficients(
+                tmp_path / "known.csv", nodes, np.array(speeds) * RPM, {0: ("cxx",), 1: ("cxx",)}, between=True
+            )
     pd.concat([frame, frame]).to_csv(tmp_path / "twice.csv", index=False)
     with refused("must have one row a bearing and speed, but some are there twice"):
-        read_known(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of)
+        read_coefficients(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of, between=True)
 
 
 def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:

@@ -81,13 +81,13 @@ KNOWN: list[Law] = [
 MISSING: Law = (
     "must have every speed of the data",
     keep(lambda t: (t["bearing_node"] != 2) | (t["speed_rpm"] != 1500)),
-    "1 are missing for the bearing at node 2 (the first: 1500 rpm)",
+    "bearing at node 2, must have every speed of the data, but 1 are missing (the first: 1500 rpm)",
 )
 MODELLED: list[Law] = [
     *(law for law in EITHER if law[2] != "row 6"),
     no("speed_rpm"),
     MISSING,
-    ("must have rows for the bearing at node 2", keep(lambda t: t["bearing_node"] == 0), "[0]"),
+    KNOWN[-1],
 ]
 LAWS = [
     *(("vibration", "parquet", law) for law in VIBRATION),
