@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -187,12 +189,15 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
     )
 
 
-def _read_mat(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
-    mat = read_mat(path, [*names, *([rate] if rate else [])])
-    stated = mat[rate] if rate else None
+def _read_variables(
+    load: Callable[[Path, Sequence[str]], Channels], path: Path, names: Sequence[str], rate: str | None
+) -> tuple[Channels, float | None]:
+    """Of files that keep the rate beside the channels, in a variable of that name."""
+    every = load(path, [*names, *([rate] if rate else [])])
+    stated = every[rate].reshape(-1) if rate else None
     if stated is not None and (len(stated) != 1 or not 0 < float(stated[0]) < np.inf):
         raise DataError(f"'{path}' must have a rate in Hz in the variable '{rate}', but it has {stated[:3]}")
-    return {name: mat[name] for name in names}, None if stated is None else float(stated[0])
+    return {name: every[name] for name in names}, None if stated is None else float(stated[0])
 
 
 def _list_mat(path: Path) -> Contents:
@@ -239,25 +244,19 @@ def _list_tdms(path: Path) -> Contents:
     return Contents(units, rated=any("wf_increment" in channel.properties for channel in channels), mark="/")
 
 
-def _read_npz(path: Path, names: Sequence[str], rate: str | None) -> tuple[Channels, float | None]:
+def _load_npz(path: Path, names: Sequence[str]) -> Channels:
     """Each array by itself: np.load would open objects, too, where it is asked to."""
-    from zipfile import ZipFile
-
     require_unpacked(path)
+    require_names(path, "array", names, _list_npz(path).units)
+    every = {}
     with ZipFile(path) as file:
-        stored = [name.removesuffix(".npy") for name in file.namelist()]
-        wanted = (*names, *([rate] if rate else []))
-        require_names(path, "array", wanted, stored)
-        every = {}
-        for name in wanted:
+        for name in names:
             with file.open(f"{name}.npy") as array:
                 every[name] = np.lib.format.read_array(array)
-        return {name: every[name] for name in names}, float(every[rate].reshape(-1)[0]) if rate else None
+    return every
 
 
 def _list_npz(path: Path) -> Contents:
-    from zipfile import ZipFile
-
     with ZipFile(path) as file:
         names = [name.removesuffix(".npy") for name in file.namelist()]
     return Contents(dict.fromkeys(names, ""), names)
@@ -291,8 +290,8 @@ _Read = Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None
 _READERS: dict[str, tuple[_Read, str, Callable[[Path], Contents]]] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file", _list_hdf5)),
     ".tdms": (_read_tdms, "complete TDMS file", _list_tdms),
-    ".mat": (_read_mat, "complete MAT file", _list_mat),
-    ".npz": (_read_npz, "complete NumPy file (.npz)", _list_npz),
+    ".mat": (partial(_read_variables, read_mat), "complete MAT file", _list_mat),
+    ".npz": (partial(_read_variables, _load_npz), "complete NumPy file (.npz)", _list_npz),
     ".wav": (_read_wav, "complete WAV file", _list_wav),
 }
 """By a file's ending: what gives the channels and the sample rate in Hz that the file states, what it reads, and what
