@@ -237,8 +237,8 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
 
 def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
     """Its rows."""
-    with open_measured(path, "complete Excel file (.xlsx)"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and validations, which hold no data
+    # Warnings of styles and validations, which hold no data.
+    with open_measured(path, "complete Excel file (.xlsx)"), warnings.catch_warnings(action="ignore"):
         book = _open_book(path)
         require_names(path, "sheet", [text.sheet] if text.sheet else (), book.sheetnames)
         sheet = book[text.sheet or book.sheetnames[0]]

@@ -139,8 +139,7 @@ def _train(
     def estimate(speeds: np.ndarray) -> np.ndarray:
         return np.asarray(np.exp(network.predict((speeds - middle) / size)))
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that it could be trained on: its held-out error tells
+    with warnings.catch_warnings(action="ignore"):  # that it could be trained on: its held-out error tells
         network.fit((speeds[~held_out] - middle) / size, np.log(stiffness[~held_out]))
     off = np.log(estimate(speeds[held_out])) - np.log(stiffness[held_out])
     return estimate, np.sqrt((off**2).mean(axis=0))

@@ -164,8 +164,7 @@ def _evolve(
     size = scores.std(axis=0)
     kernel = RBF(np.ones(cube.shape[1]), (1e-2, 1e3)) + WhiteKernel(1e-8, (1e-12, 1e-1))
     surrogate = GaussianProcessRegressor(kernel, random_state=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a hyperparameter at its bound
+    with warnings.catch_warnings(action="ignore"):  # a hyperparameter at its bound
         surrogate.fit(cube, scores / size)
     inside = components @ middle  # the part of the mean deviation that the components can take away
 

@@ -46,8 +46,7 @@ def ross() -> Any:
     sys.modules["ccp"] = fluids = ModuleType("ccp")
     vars(fluids)["__getattr__"] = lambda name: getattr(import_module("ccp"), name)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # ROSS warns about optional parts
+        with warnings.catch_warnings(action="ignore"):  # ROSS warns about optional parts
             import ross as module
     finally:
         del sys.modules["ccp"]
@@ -186,8 +185,7 @@ def read_rotor_file(file: Path) -> Any:
             + name_beside(file)
         )
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             data = rs.utils.load_data(file)
             elements = [
                 _find_class(name, content, file).read_toml_data(content)
