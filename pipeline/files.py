@@ -147,11 +147,8 @@ CACHE = Path(__file__).parents[1] / ".cache"
 
 def hash_parts(*parts: bytes | str) -> str:
     """The hash of ``parts``, which are kept apart: ("ab", "c") and ("a", "bc") differ."""
-    digest = hashlib.sha256()
-    for part in parts:
-        content = part.encode() if isinstance(part, str) else part
-        digest.update(hashlib.sha256(content).digest())
-    return digest.hexdigest()[:32]
+    digests = (hashlib.sha256(part.encode() if isinstance(part, str) else part).digest() for part in parts)
+    return hashlib.sha256(b"".join(digests)).hexdigest()[:32]
 
 
 def look_up(kind: str, key: str) -> bytes | None:
