@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
 
 from pipeline.config.promotion import BEST, apply_values, read_promoted
-from pipeline.config.schema import Config
 from pipeline.errors import ConfigError
 from pipeline.files import read_json, write_beside
 from pipeline.reporting.console import say, table
@@ -45,8 +43,11 @@ def run(analysis: Analysis) -> StageRecord:
         origin = f"study '{promoted.study}' (trial {promoted.trial})"
         say(f"{config.name}: '{target}' is what {origin} found: nothing changes")
         return StageRecord()
-    before = read_promoted(target)
-    _say_values(config, before.values if before else {}, promoted.values)
+    old, new = read_promoted(target), promoted.values
+    before = old.values if old else {}
+    keys = [key for key in dict.fromkeys([*before, *new]) if before.get(key) != new.get(key)]
+    values = [[key, *(write_value(each.get(key, "as configured")) for each in (before, new))] for key in keys]
+    table(f"{config.name}: values that training uses", ["value", "now", "then"], values)
     rows = [[str(target / name), change] for name, change in changes.items() if change]
     table(f"{config.name}: study '{promoted.study}' (trial {promoted.trial}) is promoted", ["file", ""], rows)
     # What training reads comes last: stopped in between, training still has the values of before.
@@ -61,14 +62,3 @@ def _compare(new: Path, old: Path) -> str:
     if not old.exists():
         return "new"
     return "" if new.read_bytes() == old.read_bytes() else "changed"
-
-
-def _say_values(config: Config, before: Mapping[str, object], after: Mapping[str, object]) -> None:
-    keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
-    rows = [[key, *(_show(values, key) for values in (before, after))] for key in keys]
-    if rows:
-        table(f"{config.name}: values that training uses", ["value", "now", "then"], rows)
-
-
-def _show(values: Mapping[str, object], key: str) -> str:
-    return write_value(values[key]) if key in values else "as configured"
