@@ -48,9 +48,8 @@ def _find_order(quantity: str, units: Sequence[str]) -> tuple[int, float] | None
 
 def find_volts(unit: str) -> float | None:
     """Size of a unit such as mV in V; None where it is no voltage."""
-    with contextlib.suppress(ValueError):
-        return to_si(f"1 {unit}", "V", "mV")
-    return None
+    volts = _find_order(f"1 {unit}", ("V",))
+    return volts[1] if volts else None
 
 
 def to_motion(unit: str, scale: str | None) -> tuple[int, float]:

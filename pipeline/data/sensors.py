@@ -81,8 +81,8 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     """Return what the sensors read from a data set with x and y at every node."""
     seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
+    noise = NoiseModel(sensors.additive, sensors.multiplicative)
     if sensors.additive or sensors.multiplicative:
-        noise = NoiseModel(sensors.additive, sensors.multiplicative)
         seen = add_noise(seen, noise.deviation(seen.displacement), generator)
     turns = synchronous(seen.frequencies, seen.speeds[:, None])[:, None]
     runout = np.zeros(len(seen.channels), dtype=complex)
@@ -91,7 +91,7 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     readings = _quantise(seen.displacement + runout[:, None] * turns, sensors.quantisation)
     if sensors.slow_roll_readings:  # without weights or shaker, so slowly that nothing vibrates: their mean
         parts = generator.standard_normal((2, sensors.slow_roll_readings, len(runout))) / np.sqrt(2.0)
-        deviation = NoiseModel(sensors.additive, sensors.multiplicative).deviation(runout)
+        deviation = noise.deviation(runout)
         slow = _quantise(runout + deviation * (parts[0] + 1j * parts[1]), sensors.quantisation).mean(axis=0)
         readings = readings - slow[:, None] * turns
     return replace(seen, displacement=readings)
