@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import re
 from collections.abc import Iterator, Sequence
@@ -98,31 +99,64 @@ def start_hydra(folder: Path | None = None) -> Iterator[ConfigLoader]:
 
 
 def _load(chosen: Sequence[Override], loader: Any) -> DictConfig:
-    """The composed configuration. What groups of ``conf/`` compose to is kept: reading it is a tenth of the work.
-
-    Values of a command and files of a user are not kept beyond this process, since they may be secret.
-    """
-    import yaml
+    """The composed configuration of these overrides."""
     from hydra.core.config_store import ConfigStore
-    from hydra.types import RunMode
     from omegaconf import OmegaConf
 
     values = [o for o in chosen if isinstance(o.value(), dict) or not loader.repository.group_exists(o.key_or_group)]
     groups = [get_text(override) for override in chosen if override not in values]
     stored = [(group, inside) for group, inside in ConfigStore.instance().repo.items() if (CONF / group).is_dir()]
+    config = _insert_machine(groups, stored, loader) or copy.deepcopy(_compose_groups(groups, stored, loader))
+    OmegaConf.set_struct(config, True)
+    loader._apply_overrides_to_config(values, config)
+    return config
+
+
+def _insert_machine(groups: Sequence[str], stored: Sequence[Any], loader: Any) -> DictConfig | None:
+    """The file of ``machine.file`` put into what the other groups compose to, which is kept.
+
+    None where there is none, where the machine or the data are changed by an experiment too, or where it does not fit:
+    Hydra puts them together then, and says what is wrong.
+    """
+    from omegaconf.errors import OmegaConfBaseException
+
+    files = stored[0][1] if [group for group, _ in stored] == ["machine"] else {}
+    named = {f"machine={name.removesuffix('.yaml')}": file.node for name, file in files.items()}
+    chosen = [group for group in groups if set(named.get(group, {"": None})) <= {"machine", "data"}]
+    if not chosen:
+        return None
+    config = copy.deepcopy(_compose_groups([NO_MACHINE if group in chosen else group for group in groups], [], loader))
+    bare = _compose_groups([NO_MACHINE, "~experiment", "~comparison"], [], loader)
+    if any(config[key] != bare[key] for key in ("machine", "data")):
+        return None
+    with contextlib.suppress(OmegaConfBaseException):
+        config.merge_with(named[chosen[0]])
+        return config
+    return None
+
+
+NO_MACHINE = "machine=base/none"
+
+
+def _compose_groups(groups: Sequence[str], stored: Sequence[Any], loader: Any) -> DictConfig:
+    """What groups of files compose to. Of those of ``conf/`` it is kept: reading it is a tenth of the work.
+
+    Values of a command and files of a user are not kept beyond this process, since they may be secret.
+    """
+    import yaml
+    from hydra.types import RunMode
+    from omegaconf import OmegaConf
+
     key = _identify_files(groups, stored)
     if key not in _COMPOSED:
         content = look_up("configurations", key)
         if not content:
-            composed = loader.load_configuration(ROOT_CONFIG, groups, RunMode.RUN, from_shell=False)
+            composed = loader.load_configuration(ROOT_CONFIG, list(groups), RunMode.RUN, from_shell=False)
             content = yaml.dump(OmegaConf.to_container(composed), Dumper=yaml.CSafeDumper, sort_keys=False).encode()
             if not stored:
                 keep("configurations", key, content)
         _COMPOSED[key] = OmegaConf.create(yaml.CSafeLoader(content).get_single_data())
-    config = copy.deepcopy(_COMPOSED[key])
-    OmegaConf.set_struct(config, True)
-    loader._apply_overrides_to_config(values, config)
-    return config
+    return _COMPOSED[key]
 
 
 _COMPOSED: dict[str, DictConfig] = {}

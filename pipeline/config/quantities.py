@@ -10,7 +10,7 @@ import contextlib
 import math
 import re
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
@@ -44,6 +44,7 @@ _TOWER = re.compile(rf"{_POWER}(?![-+(]*\d{{1,2}}\b)|{_POWER}[-+(]*\w+\)*\s*{_PO
 """A power of more than two digits, or of a power: such a number has no end."""
 
 
+@lru_cache(10_000)
 def _parse(text: str, unit: Any, example: str, longest: int = 100) -> float:
     import pint
 

@@ -103,11 +103,11 @@ def test_new_replaces_nothing(folder: Path) -> None:
 
 
 FEW = [f"machine.speeds.{key}" for key in ("start_rpm=1000", "stop_rpm=5000", "step_rpm=250")]
-FEW += ["robustness.count=3", "design.simulations=3", "design.speeds=5", "comparison.data_sets=1"]
+FEW += ["robustness.count=3", "robustness.workers=1", "design.simulations=3", "design.speeds=5", "comparison.data_sets=1"]
 FEW += ["comparison.methods=[least_squares,response]", "comparison.workers=1", "comparison.noise=[0.01]"]
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("bearings", ["rolling", "fluid_film"])
 def test_a_simulated_template_runs_through_every_stage(
     bearings: str, folder: Path, capsys: pytest.CaptureFixture[str]
@@ -124,7 +124,7 @@ def test_a_simulated_template_runs_through_every_stage(
     assert "experiment=my_rig" not in said  # there is none of that name
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("data", ["recordings", "tables"])
 def test_a_template_for_recordings_asks_for_paths_and_positions_alone(data: str, folder: Path) -> None:
     (folder / "recordings").symlink_to(EXAMPLE)
@@ -182,6 +182,7 @@ def write_log(folder: Path, kind: str) -> Path:
 PROBES = ("DE_left", "DE_right", "NDE_left", "NDE_right")
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("kind", ["csv", "groups", "workbook"])
 def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""

@@ -20,6 +20,7 @@ EXAMPLE = ROOT / "examples" / "measured_demo"
 MISTAKES = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("case", MISTAKES, ids=lambda case: case["mistake"])
 def test_a_mistake_is_named_with_its_cure(
     case: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]
