@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Run, assert_says
+from conftest import Run, assert_says, pictures_left_out
 
 from pipeline.errors import ConfigError
 
-pytestmark = pytest.mark.slow  # fits of bearing laws, of a second each
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pictures")]  # fits of bearing laws, of a second each
 
 MACHINE = [
     *("experiment=noisy_all", "machine=compressor_oil_temperatures", "model=law"),
@@ -29,7 +29,8 @@ def asked(celsius: float) -> str:
 def folder(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Readings at 45, 55 and 65 degC, their fit, and the summary at 70 degC."""
     made = tmp_path_factory.mktemp("warm")
-    run("summary", [*MACHINE, asked(70)], made)
+    with pictures_left_out():
+        run("summary", [*MACHINE, asked(70)], made)
     return made
 
 
@@ -96,7 +97,6 @@ def test_conditions_that_are_missing_or_unknown_are_refused(override: str, words
         run("predict", [*MACHINE, override], folder)
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_a_speed_between_those_of_the_data_is_predicted(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
