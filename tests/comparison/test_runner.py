@@ -187,7 +187,7 @@ FEW_STEPS = [
     "comparison.paper.optimizer.adam.steps=20",
     *(
         f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20"
-        for loss in ("residual", "preconditioned", "response")
+        for loss in ("residual", "preconditioned", "response", "trained")
     ),
 ]
 

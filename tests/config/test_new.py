@@ -103,8 +103,8 @@ def test_new_replaces_nothing(folder: Path) -> None:
 
 
 FEW = [f"machine.speeds.{key}" for key in ("start_rpm=1000", "stop_rpm=5000", "step_rpm=250")]
-FEW += ["robustness.count=3", "robustness.workers=1", "design.simulations=3", "design.speeds=5", "comparison.data_sets=1"]
-FEW += ["comparison.methods=[least_squares,response]", "comparison.workers=1", "comparison.noise=[0.01]"]
+FEW += ["robustness.count=3", "robustness.workers=1", "design.simulations=3", "design.speeds=5"]
+FEW += [f"comparison.{key}" for key in ("data_sets=1", "methods=[least_squares,response]", "workers=1", "noise=[0.01]")]
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -14,6 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import pictures_left_out
+
+from pipeline.config.compose import compose_config
+from pipeline.stages import run_stage
 
 OLD_KERNELS = ("Nehalem", "Prescott")
 """OpenBLAS's kernels without AVX; some processors' own ones round a product as one of the two does."""
@@ -32,16 +36,10 @@ SMALL = {
     "impulses": [],
 }
 PROGRAM = """
-import json, sys
-from conftest import pictures_left_out
-from pipeline.config.compose import compose_config
-from pipeline.stages import run_stage
-folder, given = sys.argv[1], json.loads(sys.argv[2])
-with pictures_left_out():
-    for name, overrides in given.items():
-        for stage in ("generate", "train", "evaluate"):
-            places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
-            run_stage(compose_config([*places, *overrides]))
+import sys
+from pathlib import Path
+from test_other_processors import train_all
+train_all(Path(sys.argv[1]))
 """
 PRODUCT = """
 import hashlib
@@ -49,6 +47,15 @@ import numpy as np
 one, other = np.random.default_rng(0).normal(size=(2, 99, 99))
 print(hashlib.sha256((one @ other).tobytes()).hexdigest())
 """
+
+
+def train_all(folder: Path) -> None:
+    """Generate, train and evaluate each of the small experiments, in folders of their names."""
+    with pictures_left_out():
+        for name, overrides in SMALL.items():
+            for stage in ("generate", "train", "evaluate"):
+                places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
+                run_stage(compose_config([*places, *overrides]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,16 +87,15 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
     bits = _run(PRODUCT, {})
     differing = [name for name in OLD_KERNELS if _run(PRODUCT, {"OPENBLAS_CORETYPE": name}) != bits]
     assert differing, "a processor would be compared with itself"
-    made = []
-    for name, kernels in {"this": {}, "old": OLD_PROCESSOR | {"OPENBLAS_CORETYPE": differing[0]}}.items():
-        made.append(Processor(tmp_path_factory.mktemp(name)))
-        _run(PROGRAM, kernels, str(made[-1].folder), json.dumps(SMALL))
-    return made[0], made[1]
+    this, old = (Processor(tmp_path_factory.mktemp(name)) for name in ("this", "old"))
+    train_all(this.folder)
+    _run(PROGRAM, OLD_PROCESSOR | {"OPENBLAS_CORETYPE": differing[0]}, str(old.folder))
+    return this, old
 
 
 def _run(program: str, kernels: dict[str, str], *arguments: str) -> str:
     root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests"} | kernels
+    environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests:{root}/tests/identification"} | kernels
     command = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
@@ -208,7 +214,6 @@ def test_of_equal_minima_the_first_goes_on() -> None:
 
 def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
     """At rounding seeds tell nothing: the order of the trials decides, and the default stays where it is there too."""
-    from pipeline.config.compose import compose_config
     from pipeline.tuning.finalists import Finalist, choose
 
     config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
@@ -226,8 +231,6 @@ def test_committed_studies_promote_with_room_to_spare(name: str) -> None:
     """Kernels and the sampler's path move the losses of finalists: the choice must not hang on that."""
     import pandas as pd
     import yaml
-
-    from pipeline.config.compose import compose_config
 
     folder = Path(__file__).resolve().parents[2] / "studies" / name
     losses = pd.read_csv(folder / "finalists.csv").groupby("trial")["held_out_loss"]

@@ -85,12 +85,14 @@ def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
     assert all((tmp_path / "out" / f"seed-{seed}" / "config.yaml").is_file() for seed in (0, 2))
 
 
-def test_a_multirun_ends_with_its_jobs_side_by_side(tmp_path: Path) -> None:
+def test_a_multirun_ends_with_its_jobs_side_by_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Two widths, trained and evaluated: a table, its file and a figure, with what the jobs' own files say."""
     stages = ["stage=[train,evaluate]", "model=network", "model.width=4,6", "tuned=false", "experiment=ball_bearing"]
-    done = python("-m", "pipeline", "-m", *stages, *CHEAP, "output=out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    said = done.stdout[done.stdout.index("the jobs of this command") :]
+    monkeypatch.chdir(tmp_path)
+    assert main(["-m", *stages, *CHEAP, "output=out"]) == 0
+    said = capsys.readouterr().out.partition("the jobs of this command")[2]
     rows = pd.read_csv(tmp_path / "out" / "jobs.csv").set_index("job")
     assert list(rows.index) == ["model.width=4", "model.width=6"]
     assert all(job in said for job in rows.index)
