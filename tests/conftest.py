@@ -64,7 +64,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Where slow tests are left out, their modules are not even imported: that takes seconds."""
     if "not slow" not in config.option.markexpr or collection_path.suffix != ".py":
         return None
-    slow = re.search("^pytestmark = pytest.mark.slow", collection_path.read_text(encoding="utf-8"), re.M)
+    slow = re.search(r"^pytestmark = \[?pytest\.mark\.slow", collection_path.read_text(encoding="utf-8"), re.M)
     return True if slow else None
 
 

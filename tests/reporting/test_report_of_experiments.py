@@ -208,6 +208,7 @@ def test_no_two_statements_contradict(name: str) -> None:
     assert list_contradictions(ARTIFACTS / name) == []
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])
 def test_no_two_statements_on_a_drawn_machine_contradict(seed: int, tmp_path: Path) -> None:
     """With an unbalance to predict that is no run's; 4 has resonances sharper than its speeds are apart."""

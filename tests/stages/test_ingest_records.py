@@ -48,7 +48,7 @@ def test_weights_on_a_node_that_the_rotor_lacks(tmp_path: Path) -> None:
 
 
 NEEDED = (
-    *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "training.json"),
+    *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "training.json", "history.csv"),
     *("model.json", "model.safetensors", "uncertainty.safetensors"),
 )
 
@@ -69,7 +69,8 @@ def test_a_run_up_after_a_fit_is_held_against_it(
 ) -> None:
     """The fit did not see the run-up: its first critical speed agrees, in a band that could have refuted it."""
     folder = artifacts.copied("rk4", NEEDED, tmp_path)
-    run_stage(config_of(folder, "stage=runup"))
+    analysis = Analysis(config_of(folder))
+    analysis.run("runup")
     first = json.loads((folder / "run_up.json").read_text(encoding="utf-8"))["identified"]["first"]
     assert first["sentence"] in capsys.readouterr().out
     assert first["within"]
@@ -80,9 +81,4 @@ def test_a_run_up_after_a_fit_is_held_against_it(
     assert [one["rpm"] for one in every] == sorted(one["rpm"] for one in every)
     assert all(0 < one["deviation_rpm"] < 0.02 * one["rpm"] for one in every)
     # Where none is, there is nothing to compare.
-    assert (
-        compare_identified(
-            restore(Analysis(config_of(folder))), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}}
-        )
-        == {}
-    )
+    assert compare_identified(restore(analysis), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}}) == {}

@@ -23,7 +23,7 @@ from pipeline.errors import DataError
 from pipeline.problem.measurement import Measurement
 from pipeline.stages import robustness
 
-pytestmark = pytest.mark.slow  # it trains, or starts processes
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pictures")]  # it trains, or starts processes
 
 COARSE = [
     "tracking=none",
@@ -248,7 +248,6 @@ def test_the_output_error_gives_the_same_bits_with_any_truth(
     ],
     ids=["residual", "output error"],
 )
-@pytest.mark.usefixtures("no_pictures")
 def test_a_study_chooses_before_any_truth_is_opened(
     run: Run, study: list[str], tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
