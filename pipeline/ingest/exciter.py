@@ -30,7 +30,7 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section, ascending, rule
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
-from pipeline.ingest.plausibility import note_clipping
+from pipeline.ingest.plausibility import note_clipping, note_ringing
 from pipeline.ingest.waveform import SignalRunConfig, StoredSignalsConfig, WaveformProbeConfig
 from pipeline.write_numbers import write_number
 
@@ -130,10 +130,12 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
         for path in map(Path, run.sources(self.file)):
             time, channels, read = self.read_channels(path, run, [self.reference.channel, *names.values()])
             where = f"'{path}' (run '{run.name}')"
-            notes += [*read, *note_clipping(where, {name: channels[channel] for name, channel in names.items()})]
-            motions = np.stack([channels[channel].astype(float) for channel in names.values()])
-            force = self.reference.size * channels[self.reference.channel].astype(float)
-            made = [measure_spectra(time, force, motions, length, said.window, where) for length in lengths]
+            shown = {name: channels[channel].astype(float) for name, channel in names.items()}
+            force, motions = self.reference.size * channels[self.reference.channel].astype(float), [*shown.values()]
+            made = [measure_spectra(time, force, np.stack(motions), length, said.window, where) for length in lengths]
+            notes += [*read, *note_clipping(where, shown)]
+            if said.window == "boxcar":
+                notes += note_ringing(where, force, shown, 2 * len(made[0][0]) - 2)
             sums = [before + n * spectra for before, (_, spectra, n) in zip(sums, made, strict=True)]
             frequencies, segments = made[0][0], segments + made[0][2]
         n = segments / (1 + 2 * tie * (segments - 1) / segments * (said.window == "hann"))

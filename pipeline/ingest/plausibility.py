@@ -144,6 +144,35 @@ def note_clipping(where: str, signals: Mapping[str, np.ndarray], clipped: float 
     return notes
 
 
+def note_ringing(
+    where: str,
+    force: np.ndarray,
+    signals: Mapping[str, np.ndarray],
+    samples: int,
+    last: float = 0.05,
+    faded: float = 0.03,
+) -> list[str]:
+    """A sentence for each probe that still rings at the end of a segment of so many ``samples`` with an impact.
+
+    That is where the ``last`` share of a segment has an amplitude of more than the share ``faded`` of its largest one:
+    a window that cuts a decay off at the share r spoils the peak of a mode by r. A force that lasts is no impact.
+    """
+    left = {}
+    for name, signal in {"": force, **signals}.items():
+        segments = signal[: len(signal) // samples * samples].reshape(-1, samples)
+        swing = np.abs(segments - np.median(segments, axis=1, keepdims=True))
+        end = np.sqrt(2 * (swing[:, -round(last * samples) :] ** 2).mean(axis=1))
+        left[name] = end / np.maximum(swing.max(axis=1), np.finfo(float).tiny)
+    impacts = left.pop("") < faded
+    return [
+        f"{where}, probe '{name}': {write_rough(100 * share)} % of the largest motion after an impact is left at the "
+        "end of a segment, so that responses leak and modes look too damped; record until it has rung down, and take "
+        "segments as long (averaging.segment)"
+        for name, share in ((name, float((shares * impacts).max())) for name, shares in left.items())
+        if share > faded
+    ]
+
+
 def note_casing(probes: Mapping[str, MeasuredProbeConfig], nodes: Sequence[int], n_nodes: int) -> list[str]:
     """A sentence for the probes on a casing that is none of the model's, which follow the shaft's ``n_nodes``.
 

@@ -99,6 +99,18 @@ def test_a_noisy_force_makes_h1_too_small(folder: Path) -> None:
     assert 1 - second == pytest.approx((1 - first) / 2, rel=0.1)
 
 
+def test_an_impact_that_does_not_ring_down_in_a_segment_is_told(folder: Path) -> None:
+    """One mass decays by exp(-c t / 2 m), which is 22 % half a second after the blow and 0.3 % after two."""
+    boxcar, time = {"window": "boxcar"}, np.arange(int(2 * RATE)) / RATE
+    blow = 20 * np.exp(-(((time - 0.05) / 0.002) ** 2))
+    assert read(folder, [blow] * 3, averaging=boxcar)[1].notes == ()
+    assert read(folder, [push(20)], averaging=boxcar)[1].notes == ()  # it lasts
+    notes = read(folder, [blow[: int(0.57 * RATE)]] * 3, averaging=boxcar | {"segment": 0.57})[1].notes
+    shares = [float(note.split(": ")[1].split(" %")[0]) for note in notes if "left at the end of a segment" in note]
+    assert len(shares) == 3 * len(PROBES)
+    assert shares == pytest.approx([100 * np.exp(-DAMPING / (2 * MASS) * 0.5)] * len(shares), rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("seconds", "changes", "said"),
     [
