@@ -204,11 +204,19 @@ def _gain(at_sensors: np.ndarray, prior: np.ndarray, deviation: np.ndarray) -> n
         spread = prior[..., None] * adjoint
         innovation = at_sensors @ spread
         innovation[..., range(n_channels), range(n_channels)] += deviation**2
-        return np.asarray(np.linalg.solve(innovation, spread.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2))
+        return _solve(innovation, spread.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
     weighted = adjoint / deviation[..., None, :] ** 2
     information = weighted @ at_sensors
     information[..., range(count), range(count)] += 1 / prior
-    return np.asarray(np.linalg.solve(information, weighted))
+    return _solve(information, weighted)
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Of a positive definite matrix; at the resonance of an estimate without damping, rounding leaves a single mode."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right)
 
 
 def _product(impedance: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -249,6 +249,10 @@ def test_both_forms_of_the_gain_are_one(seed: int, n_channels: int) -> None:
     spread = prior[..., None] * through.conj().swapaxes(1, 2)
     dense = spread @ np.linalg.inv(through @ spread + deviation[..., None] ** 2 * np.eye(n_channels))
     np.testing.assert_allclose(_gain(through, prior, deviation), dense, rtol=1e-9, atol=1e-12)
+    # A single mode that hides what was known before: the mean of the channels, in the direction of the mode.
+    np.testing.assert_allclose(
+        _gain(np.ones((n_channels, 4)), np.ones(4), np.full(n_channels, 1e-12)), 1 / 4 / n_channels
+    )
 
 
 def test_the_derivative_of_the_equations_by_the_readings() -> None:
