@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     import torch
 
 
+EXPLAINED = 4.0
+"""Mean square over the noise up to which a start may be near the answer; a wrong valley leaves more."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OutputErrorStart:
     """Everything before the first step."""
@@ -116,7 +120,23 @@ def _start_by_coefficients(
         return problem.update(weights), {"weights": weights, "from_guess": False, "near": True}
     if any(parameter.growth for parameter in training.parameters):
         weights = _approach(problem, weights[1::2], setup.optimizer.levenberg_marquardt)
+        if not float(problem.loss(weights[:1])) < EXPLAINED:
+            further = _approach(problem, _draw(problem, guess, setup.seed), setup.optimizer.levenberg_marquardt)
+            weights = min(weights, further, key=lambda ends: float(problem.loss(ends[:1]).nan_to_num(float("inf"))))
     return problem, {"weights": weights, "from_guess": True, "filtered": _filter(training)}
+
+
+def _draw(problem: OutputError, guess: np.ndarray, seed: int, count: int = 6, spread: float = 1.5) -> torch.Tensor:
+    """(G, 1, Z) ``count`` starts about the guess (M, S, U): coefficients within a factor e^``spread`` (one deviation),
+    numbers of the model by their priors.
+    """
+    import torch
+
+    generator = np.random.default_rng(seed)
+    factors = np.exp(spread * generator.standard_normal((count, len(guess), 1, guess.shape[2])))
+    starts = torch.cat([start_at(problem, guess * each) for each in factors])
+    starts[..., problem.places.parameters] += generator.standard_normal((count, 1, problem.places.n_parameters))
+    return starts
 
 
 def _approach(
