@@ -35,7 +35,7 @@ from pipeline.reporting.coefficient_figures import KINDS, UNITS, Coefficients, c
 from pipeline.reporting.content import FitContent, ReportContent, name_channel
 from pipeline.reporting.fit_tables import describe_verdicts, list_numbers
 from pipeline.reporting.matplotlib_figures import write_figure
-from pipeline.reporting.twin import draw_sizes, measure_sizes, show, summarize_modes
+from pipeline.reporting.twin import describe_measured, draw_sizes, measure_sizes, show, summarize_modes
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
@@ -190,7 +190,11 @@ def list_critical_speeds(fit: FitContent, modes: Mapping[str, Any]) -> str:
     apart.
     """
     rpm, margin, critical = _list_speeds(fit), "separation_margin_required_percent", modes["critical_speeds"]
-    natural = [f"{show(m, 'hz')} Hz ({show(m, 'logarithmic_decrement')})" for m in modes.get("modes", {}).values()]
+    natural = [
+        f"{show(m, 'hz')} Hz ({'; the responses alone show '.join(filter(None, said))})"
+        for m in modes.get("modes", {}).values()
+        for said in [(show(m, "logarithmic_decrement"), describe_measured(m))]
+    ]
     if natural:
         return f"at {rpm[0]:g} rpm{fit.state} natural frequencies (logarithmic decrements) {_join(natural)}"
     damped = [show(mode, "rpm") for mode in critical.values() if mode[margin] == 0]

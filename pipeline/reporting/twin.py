@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.data.operating import list_columns, name_state
+from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.reporting.blocks import (
     BLACK,
@@ -69,7 +70,8 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
 
 
 def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:
-    """The modes at the only speed there is, up to what excited them."""
+    """The modes at the only speed there is, up to what excited them; beside each, what the responses alone show, and
+    whether the decrements agree: they differ by less than the nominal 95 % band of the difference."""
     modes, (hz_std, decrement_std) = behaviour.modes, list_deviations(behaviour)
     numbers = {
         "hz": modes.frequency[0] / RAD_S_PER_HERTZ,
@@ -77,10 +79,29 @@ def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:
         "logarithmic_decrement": modes.logarithmic_decrement[0],
         "logarithmic_decrement_std": decrement_std[0],
     }
+    if len(behaviour.shown):
+        hz, spread, decrement, decrement_spread = behaviour.shown.T
+        limit = NOMINAL_95 * np.hypot(decrement_spread, np.nan_to_num(decrement_std[0]))
+        numbers |= {
+            "measured_hz": hz / RAD_S_PER_HERTZ,
+            "measured_hz_std": spread / RAD_S_PER_HERTZ,
+            "measured_logarithmic_decrement": decrement,
+            "measured_logarithmic_decrement_std": decrement_spread,
+            "decrements_apart": np.abs(decrement - modes.logarithmic_decrement[0]) / limit,  # agree up to 1
+        }
     return {
         f"{i + 1}": {key: float(values[i]) for key, values in numbers.items() if np.isfinite(values[i])}
         for i in np.flatnonzero(find_reached(modes)[0]).tolist()
     }
+
+
+def describe_measured(mode: Mapping[str, Any]) -> str:
+    """The logarithmic decrement of a mode that responses show without a model, and whether the model agrees; "" where
+    they show none."""
+    if "measured_hz" not in mode:
+        return ""
+    agrees = "which agrees" if mode["decrements_apart"] <= 1 else "which DIFFERS: rotor or bearings lack something"
+    return f"{show(mode, 'measured_logarithmic_decrement')} at {show(mode, 'measured_hz')} Hz, {agrees}"
 
 
 def _summarize_critical(behaviour: Behaviour, i: int, running_rpm: float) -> dict[str, float | None]:
@@ -198,11 +219,11 @@ def print_twin(
     )
     table(f"critical speeds{state}; separation is that from {rpm:g} rpm", ["system", *CRITICAL], criticals)
     natural = [
-        [name, *(show(mode, key) for key in ("hz", "logarithmic_decrement"))]
+        [name, *(show(mode, key) for key in ("hz", "logarithmic_decrement")), describe_measured(mode)]
         for name in vibration
         for mode in summary[name].get("modes", {}).values()
     ]
-    table(f"natural frequencies at {rpm:g} rpm{state}", ["system", "Hz", "log decrement"], natural)
+    table(f"natural frequencies at {rpm:g} rpm{state}", ["system", *NATURAL], natural)
     if not criticals and not natural:
         say(f"critical speeds{state}: none in the range of speeds")
     if "displacement" in summary:
@@ -213,6 +234,8 @@ def print_twin(
         say(f"error of the displacement over all speeds: {'; '.join(errors)}")
 
 
+NATURAL = ("Hz", "log decrement", "log decrement that the responses alone show")
+"""Columns of a table of modes at one speed."""
 CRITICAL = {
     "rpm": "rpm",
     "log decrement": "logarithmic_decrement",

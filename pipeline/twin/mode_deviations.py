@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -180,6 +180,7 @@ class Behaviour:
 
     modes: WhirlModes
     deviations: ModeDeviations | None = None  # of a fit that states them
+    shown: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # (K, 4) of read_modes; none of a modelled one
 
     @cached_property
     def critical(self) -> list[CriticalSpeed]:

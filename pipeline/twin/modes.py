@@ -1,6 +1,7 @@
-"""Whirl modes of rotor and bearings: damped critical speeds, logarithmic decrement, stability.
+"""Whirl modes of rotor and bearings: damped critical speeds, logarithmic decrement, stability; modes that responses to
+a force show without a model.
 
-Legend: S speeds, n DOF, K modes.
+Legend: S speeds, n DOF, K modes, L lines (frequencies of a force), P channels of all its places.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from enum import StrEnum
 
 import numpy as np
 
+from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.model import RotorModel
+from pipeline.sweep.fit import RunUp, fit_near
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,55 @@ def follow_modes(modes: WhirlModes) -> np.ndarray:
         distance = np.abs(values[s - 1, order[s - 1], None] - values[s])
         order[s] = linear_sum_assignment(np.where(np.isnan(distance), missing, distance))[1]
     return order
+
+
+def read_modes(dataset: VibrationDataset, deviation: np.ndarray, modes: WhirlModes) -> np.ndarray:
+    """(K, 4) damped natural frequencies in rad/s with their deviations, and logarithmic decrements with theirs, that
+    the responses to forces show near each of the ``modes`` at the only speed there is; NaN where they show none.
+
+    ``deviation`` (1, P, R) is the noise of the readings in m. Rotor and bearings are not asked, beside where to look.
+    """
+    read, places = np.full((modes.frequency.shape[1], 4), np.nan), dict[tuple[Excitation, ...], list[int]]()
+    for r in np.argsort(dataset.frequencies[0]) if len(dataset.speeds) == 1 else ():
+        places.setdefault(dataset.excitation_of(r), []).append(r)
+    lines = [dataset.frequencies[0, runs] for runs in places.values()]
+    if not lines or any(not np.array_equal(w, lines[0]) for w in lines) or np.ptp(lines[0]) == 0:
+        return read
+    columns = [dataset.displacement[0, :, runs] / np.median(deviation[0, :, runs], axis=0) for runs in places.values()]
+    w, accelerations = lines[0], lines[0][:, None] ** 2 * np.concatenate(columns, axis=1)  # (L,), (L, P)
+    for k, mode in enumerate(modes.eigenvalues[0]):
+        if w[0] - mode.real < mode.imag < w[-1] + mode.real:
+            read[k] = _read_mode(w, accelerations, mode, modes.eigenvalues[0])
+    return read
+
+
+def _read_mode(
+    w: np.ndarray,
+    accelerations: np.ndarray,
+    mode: complex,
+    every: np.ndarray,
+    reach: float = 5.0,
+    least: int = 32,
+    alike: float = 0.1,
+    told: float = 0.5,
+) -> np.ndarray:
+    """(4,) as :func:`read_modes`, of the lines within ``reach`` half-power widths, or of the ``least`` nearest ones.
+
+    Modes among these lines are fitted at once, those ``alike`` to a share of that width as a single one. A decrement is
+    shown where its deviation is below the share ``told``.
+    """
+    apart = np.abs(w - mode.imag)
+    taken = apart <= max(-reach * mode.real, np.sort(apart)[:least][-1])
+    poles = [mode, *every[(every.imag >= w[taken][0]) & (every.imag <= w[taken][-1])]]
+    near = [p for i, p in enumerate(poles) if all(abs(p - other) > -alike * mode.real for other in poles[:i])]
+    fitted = fit_near(RunUp(w[taken], accelerations[taken], 0.0), [(abs(p), -p.real / abs(p)) for p in near])
+    roots = np.sqrt(1 - fitted.dampings**2)
+    decrements = 2 * math.pi * fitted.dampings / roots
+    spread = fitted.deviations * np.stack([roots, 2 * math.pi / roots**3], axis=1)
+    i = np.abs(fitted.frequencies * roots - mode.imag).argmin()
+    if spread[i, 1] > told * decrements[i]:
+        return np.full(4, np.nan)
+    return np.array([fitted.frequencies[i] * roots[i], spread[i, 0], decrements[i], spread[i, 1]])
 
 
 @dataclass(frozen=True)

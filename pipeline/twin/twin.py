@@ -24,7 +24,7 @@ from pipeline.rotor.model import translation_dof
 from pipeline.rotor.stored import load_modelled_bearings, require_nodes
 from pipeline.twin.at_conditions import evaluate_at, mask_state, pick_middle, require_conditions, table_at
 from pipeline.twin.mode_deviations import Behaviour, deviate_modes
-from pipeline.twin.modes import find_modes
+from pipeline.twin.modes import find_modes, read_modes
 from pipeline.twin.prediction import PredictedVibration, add_deviation, find_shares, predict
 
 OPERATING = "machine.prediction.operating"
@@ -94,7 +94,8 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         given = (answer.model, answer.uncertainty)
         vibration["identified"] = add_deviation(vibration["identified"], points, identified, unseen, *given)
         deviations = deviate_modes(modes, points, identified, *given)
-    behaviour["identified"] = Behaviour(modes, deviations)
+    shown = read_modes(stated.dataset, stated.deviation, modes)
+    behaviour["identified"] = Behaviour(modes, deviations, shown)
     return Twin(systems, vibration, behaviour, at, operating)
 
 

@@ -173,7 +173,15 @@ def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.C
     assert (np.abs(off) < 0.05 * np.array(list(real.values()))).all()
     assert (np.abs(off) < 3.5 * answer[[f"{name}_std" for name in names]].to_numpy()).all()
     modes = json.loads((folder / "out" / "prediction.json").read_text())["identified"]["modes"]
-    wanted = np.sort(rotor.run_modal(speed, num_modes=24).wd)[: len(modes)] / (2 * np.pi)
-    off = np.array([mode["hz"] for mode in modes.values()]) - wanted
+    modal = rotor.run_modal(speed, num_modes=24)
+    order = np.argsort(modal.wd)[: len(modes)]
+    off = np.array([mode["hz"] for mode in modes.values()]) - modal.wd[order] / (2 * np.pi)
     assert (np.abs(off) < 3.5 * np.array([mode["hz_std"] for mode in modes.values()])).all()
+    decrement, spread = (
+        np.array([m.get(f"measured_logarithmic_decrement{end}", np.nan) for m in modes.values()])
+        for end in ("", "_std")
+    )
+    shown = np.isfinite(decrement)
+    assert shown.any()
+    assert (np.abs(decrement - modal.log_dec[order])[shown] < 3.5 * spread[shown]).all()
     assert "under " + ("a force at 120 Hz" if rpm == 0 else "an unbalance") + " never seen" in capsys.readouterr().out

@@ -26,7 +26,16 @@ from pipeline.reporting.content import FitContent, ReportContent, list_reservati
 from pipeline.reporting.measured_figures import AMPLITUDE
 from pipeline.reporting.report.measured import describe_weight
 from pipeline.reporting.summary import describe_stability
-from pipeline.reporting.twin import CRITICAL, draw_modes, draw_sizes, list_critical, summarize_modes
+from pipeline.reporting.twin import (
+    CRITICAL,
+    NATURAL,
+    describe_measured,
+    draw_modes,
+    draw_sizes,
+    list_critical,
+    show,
+    summarize_modes,
+)
 from pipeline.twin.modes import Stability
 from pipeline.twin.twin import Twin
 from pipeline.write_numbers import write_number
@@ -63,8 +72,17 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
             for text in fit.beyond
         ),
         _list_critical_speeds(speeds, identified["critical_speeds"]),
+        *([_list_natural(identified["modes"])] if "modes" in identified else ()),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(speeds) > 1 else ()),
     ]
+
+
+def _list_natural(modes: Mapping[str, Any]) -> Table:
+    return Table(
+        "Damped natural frequencies at this speed",
+        ["mode", *NATURAL],
+        [[n, show(m, "hz"), show(m, "logarithmic_decrement"), describe_measured(m)] for n, m in modes.items()],
+    )
 
 
 def _list_critical_speeds(speeds: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
