@@ -54,7 +54,8 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
             for kind, letter in (("support_stiffness", "k"), ("support_damping", "c"), ("support_mass", "m"))
             for axis in "xy"
         }
-        masses.append(rs.PointMass(casing, mx=held.pop("mxx"), my=held.pop("myy"), tag=f"casing {support.node}"))
+        size = held.pop("mxx")  # along the shaft, too: held by nothing, a mass of zero has no response there
+        masses.append(rs.PointMass(casing, mx=size, my=held.pop("myy"), mz=size, tag=f"casing {support.node}"))
         standing.append(rs.BearingElement(casing, **held, tag=f"support of node {support.node}"))
     couplings = ("coupling_stiffness", "coupling_mass")
     for node in {node for kind, node in shifted if kind in couplings}:

@@ -106,10 +106,13 @@ def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     dynamic = stiffness + 1j * w * damping - w**2 * mass
     force = np.zeros(len(lateral), dtype=complex)
     force[[12, 13]] = w**2 * 5e-4 * np.exp(0.3j) * np.array([1.0, -1.0j])
-    moving = np.linalg.solve(dynamic, force)[[lateral.index(p + d) for p in places for d in (0, 1)]]
+    motion = np.linalg.solve(dynamic, force)
+    moving = motion[[lateral.index(p + d) for p in places for d in (0, 1)]]
     expected = np.concatenate([moving, moving[[2 * node + d for node in nodes for d in (0, 1)]] - moving[18:]])
     read = simulate(rotor, films(), WEIGHTS[:1]).displacement[7, :, 0]
     assert np.abs(read - expected).max() <= 1e-10 * np.abs(expected).max()
+    theirs = exported.run_unbalance_response([3], [5e-4], [0.3], frequency=SPEEDS[[7]]).forced_resp[:, 0]
+    assert np.abs(theirs[lateral] - motion).max() <= 1e-10 * np.abs(motion).max()
     nothing, inverse = np.zeros_like(mass), np.linalg.inv(mass)
     state = np.block([[nothing, np.eye(len(mass))], [-inverse @ stiffness, -inverse @ damping]])
     modes = find_modes(rotor, films(SPEEDS[[7]])).eigenvalues[0]
