@@ -79,7 +79,9 @@ def follow_modes(modes: WhirlModes) -> np.ndarray:
     return order
 
 
-def read_modes(dataset: VibrationDataset, deviation: np.ndarray, modes: WhirlModes) -> np.ndarray:
+def read_modes(
+    dataset: VibrationDataset, deviation: np.ndarray, modes: WhirlModes, fewest_lines: int = 16
+) -> np.ndarray:
     """(K, 4) damped natural frequencies in rad/s with their deviations, and logarithmic decrements with theirs, that
     the responses to forces show near each of the ``modes`` at the only speed there is; NaN where they show none.
 
@@ -89,13 +91,14 @@ def read_modes(dataset: VibrationDataset, deviation: np.ndarray, modes: WhirlMod
     for r in np.argsort(dataset.frequencies[0]) if len(dataset.speeds) == 1 else ():
         places.setdefault(dataset.excitation_of(r), []).append(r)
     lines = [dataset.frequencies[0, runs] for runs in places.values()]
-    if not lines or any(not np.array_equal(w, lines[0]) for w in lines) or np.ptp(lines[0]) == 0:
+    if any(not np.array_equal(w, lines[0]) for w in lines) or len(np.unique(lines)) < fewest_lines:
         return read
     columns = [dataset.displacement[0, :, runs] / np.median(deviation[0, :, runs], axis=0) for runs in places.values()]
     w, accelerations = lines[0], lines[0][:, None] ** 2 * np.concatenate(columns, axis=1)  # (L,), (L, P)
+    damped = modes.eigenvalues[0][modes.eigenvalues[0].real < 0]
     for k, mode in enumerate(modes.eigenvalues[0]):
-        if w[0] - mode.real < mode.imag < w[-1] + mode.real:
-            read[k] = _read_mode(w, accelerations, mode, modes.eigenvalues[0])
+        if mode in damped and w[0] - mode.real < mode.imag < w[-1] + mode.real:
+            read[k] = _read_mode(w, accelerations, mode, damped)
     return read
 
 
@@ -108,11 +111,12 @@ def _read_mode(
     least: int = 32,
     alike: float = 0.1,
     told: float = 0.5,
+    least_damping: float = 1.1e-3,
 ) -> np.ndarray:
     """(4,) as :func:`read_modes`, of the lines within ``reach`` half-power widths, or of the ``least`` nearest ones.
 
     Modes among these lines are fitted at once, those ``alike`` to a share of that width as a single one. A decrement is
-    shown where its deviation is below the share ``told``.
+    shown where its deviation is below the share ``told``, and the damping ratio above the least that the fit takes.
     """
     apart = np.abs(w - mode.imag)
     taken = apart <= max(-reach * mode.real, np.sort(apart)[:least][-1])
@@ -123,7 +127,7 @@ def _read_mode(
     decrements = 2 * math.pi * fitted.dampings / roots
     spread = fitted.deviations * np.stack([roots, 2 * math.pi / roots**3], axis=1)
     i = np.abs(fitted.frequencies * roots - mode.imag).argmin()
-    if spread[i, 1] > told * decrements[i]:
+    if spread[i, 1] > told * decrements[i] or fitted.dampings[i] < least_damping:
         return np.full(4, np.nan)
     return np.array([fitted.frequencies[i] * roots[i], spread[i, 0], decrements[i], spread[i, 1]])
 
