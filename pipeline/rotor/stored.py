@@ -155,19 +155,14 @@ def _keep(kind: str, key: str, values: Mapping[str, Any]) -> None:
 
 def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | None:
     """The arrays ``names``, bit by bit; None where there are none, or a damaged entry."""
-    from safetensors import SafetensorError, deserialize
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
 
-    content = look_up(kind, key)
     try:
-        entries = dict(deserialize(content or b""))
-        if not names <= entries.keys():
-            return None
-        return {
-            name: np.frombuffer(entries[name]["data"], dtype=np.float64).reshape(entries[name]["shape"])
-            for name in names
-        }
+        entries = load(look_up(kind, key) or b"")
     except (SafetensorError, ValueError):
         return None
+    return entries if names <= entries.keys() else None
 
 
 def require_nodes(rotor: RotorModel, key: str, nodes: Sequence[int]) -> None:
