@@ -135,7 +135,8 @@ def _draw(problem: OutputError, guess: np.ndarray, seed: int, count: int = 6, sp
     generator = np.random.default_rng(seed)
     factors = np.exp(spread * generator.standard_normal((count, len(guess), 1, guess.shape[2])))
     starts = torch.cat([start_at(problem, guess * each) for each in factors])
-    starts[..., problem.places.parameters] += generator.standard_normal((count, 1, problem.places.n_parameters))
+    numbers = generator.standard_normal((count, 1, problem.places.n_parameters))
+    starts[..., problem.places.parameters] += torch.as_tensor(numbers)
     return starts
 
 
