@@ -120,18 +120,17 @@ def _insert_machine(groups: Sequence[str], stored: Sequence[Any], loader: Any) -
     """
     from omegaconf.errors import OmegaConfBaseException
 
-    files = stored[0][1] if [group for group, _ in stored] == ["machine"] else {}
-    named = {f"machine={name.removesuffix('.yaml')}": file.node for name, file in files.items()}
-    chosen = [group for group in groups if set(named.get(group, {"": None})) <= {"machine", "data"}]
+    files = stored[0][1].items() if [group for group, _ in stored] == ["machine"] else ()
+    whole = {f"machine={name.removesuffix('.yaml')}": file.node for name, file in files if file.package == "_global_"}
+    chosen = [group for group in groups if set(whole.get(group, {"": None})) <= {"machine", "data"}]
     if not chosen:
         return None
     config = copy.deepcopy(_compose_groups([NO_MACHINE if group in chosen else group for group in groups], [], loader))
     bare = _compose_groups([NO_MACHINE, "~experiment", "~comparison"], [], loader)
-    if any(config[key] != bare[key] for key in ("machine", "data")):
-        return None
     with contextlib.suppress(OmegaConfBaseException):
-        config.merge_with(named[chosen[0]])
-        return config
+        if all(config[key] == bare[key] for key in ("machine", "data")):
+            config.merge_with(whole[chosen[0]])
+            return config
     return None
 
 

@@ -102,9 +102,11 @@ def test_new_replaces_nothing(folder: Path) -> None:
         made_by_new(folder / "rig.yaml", "new.data=table")
 
 
-FEW = [f"machine.speeds.{key}" for key in ("start_rpm=1000", "stop_rpm=5000", "step_rpm=250")]
-FEW += ["robustness.count=3", "robustness.workers=1", "design.simulations=3", "design.speeds=5"]
-FEW += [f"comparison.{key}" for key in ("data_sets=1", "methods=[least_squares,response]", "workers=1", "noise=[0.01]")]
+FEW = [
+    *(f"machine.speeds.{key}" for key in ("start_rpm=1000", "stop_rpm=5000", "step_rpm=250")),
+    *("robustness.count=3", "robustness.workers=1", "design.simulations=3", "design.speeds=5"),
+    *(f"comparison.{key}" for key in ("data_sets=1", "methods=[least_squares,response]", "workers=1", "noise=[0.01]")),
+]
 
 
 @pytest.mark.usefixtures("no_pictures")

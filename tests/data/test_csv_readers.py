@@ -70,6 +70,7 @@ def read_by(reader: Callable[..., object], path: Path, kinds: dict[str, str], te
             return str(error)
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(asked=files())
 def test_both_readers_give_the_same(asked: tuple[bytes, dict[str, str], CsvConfig], tmp_path: Path) -> None:

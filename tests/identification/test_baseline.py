@@ -138,7 +138,6 @@ def test_intervals_hold_as_often_as_they_say(
         square = found.quality.summary["fit"]["chi_square"]
         squares.append(square["value"] / square["expected"])
     spread, within = np.sqrt(np.mean(np.square(over))), 100 * np.mean(np.abs(over) < 1.96)
-    print(f"{spread:.3f}, {within:.1f} %, chi-square {np.mean(squares):.3f} +- {np.std(squares):.3f}")
     assert low < spread < high
     assert abs(within - 95) < 2.5 or follow is _as_if_independent
     assert abs(np.mean(squares) - 1) < 0.03 or follow is _as_if_independent

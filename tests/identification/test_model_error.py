@@ -95,6 +95,7 @@ def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, torch.Te
     assert torch.allclose(gradient[0, 0], jacobian.mT @ rows, rtol=1e-8, atol=1e-8 * float(gradient.abs().max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "built"),
     [

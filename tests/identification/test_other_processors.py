@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import platform
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from conftest import pictures_left_out
 
 from pipeline.config.compose import compose_config
@@ -50,12 +52,10 @@ print(hashlib.sha256((one @ other).tobytes()).hexdigest())
 
 
 def train_all(folder: Path) -> None:
-    """Generate, train and evaluate each of the small experiments, in folders of their names."""
     with pictures_left_out():
-        for name, overrides in SMALL.items():
-            for stage in ("generate", "train", "evaluate"):
-                places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
-                run_stage(compose_config([*places, *overrides]))
+        for name, stage in itertools.product(SMALL, ("generate", "train", "evaluate")):
+            places = [f"stage={stage}", f"experiment={name}", f"output={folder}/{name}", "tracking=none"]
+            run_stage(compose_config([*places, *SMALL[name]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +96,14 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
 def _run(program: str, kernels: dict[str, str], *arguments: str) -> str:
     root = str(Path(__file__).resolve().parents[2])
     environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests:{root}/tests/identification"} | kernels
-    command = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        env=environment,
+        cwd=root,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -128,8 +134,6 @@ def test_a_training_ends_the_same(processors: tuple[Processor, Processor], name:
 
 def test_losses_below_rounding_are_no_improvement() -> None:
     """A training at the precision of its data converges, however its losses go up and down there."""
-    import torch
-
     from pipeline.config.identification import TrainingConfig
     from pipeline.identification.training import _Monitor
 
@@ -155,8 +159,6 @@ def test_losses_below_rounding_are_no_improvement() -> None:
 
 def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
     """1e-13 of the loss without any bearing force, whatever the unit of the rows."""
-    import torch
-
     from pipeline.identification.residual_loss import ResidualProblem
 
     rng = np.random.default_rng(0)
@@ -191,8 +193,6 @@ class _Features:
 )
 def test_a_tie_goes_to_fewer_features(last: float, kept: int) -> None:
     """``last`` is what the third feature lowers chi-square by: 2 is Akaike's price of a number."""
-    import torch
-
     from pipeline.identification.selection import drop_features
 
     free = torch.tensor([[[9.0, 9.0, last**0.5]]], dtype=torch.float64)

@@ -144,6 +144,7 @@ def test_halves_need_four_speeds() -> None:
         fit(task(Case(0.01, "bearings", 3), *FILM), setup())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["plain", "tilting_pad", "rolling", "unknown"])
 def test_a_network_starts_where_the_nodes_are(family: str) -> None:
     """A bearing drawn from the prior wanders from node to node; the start follows it to half a percent."""

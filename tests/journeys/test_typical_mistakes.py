@@ -175,8 +175,8 @@ def test_nothing_is_said_of_a_right_measurement() -> None:
     assert said_of(truth()) == []
 
 
+# What another case has in the other sense or by less: found by the same fit.
 INVERSE = ("mil for um", "zero-to-peak for rms", "the tacho opposite", "another rotor", "the baseline subtracted twice")
-"""What another case has in the other sense or by less: found by the same fit."""
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ GOOD = {
 
 LONG = (
     *("kriging", "critical_speeds", "paper", "paper_scaling", "paper_logarithm", "paper_second_order", "residual"),
-    *("preconditioned", "response", "trained", "law"),
+    *("preconditioned", "response", "spline", "trained", "law"),
 )
 """Methods that model many machines first, train a network, or start from many guesses."""
 # The paper's residual with a part of the improved one keeps what both keep.

@@ -69,8 +69,7 @@ def test_a_run_up_after_a_fit_is_held_against_it(
 ) -> None:
     """The fit did not see the run-up: its first critical speed agrees, in a band that could have refuted it."""
     folder = artifacts.copied("rk4", NEEDED, tmp_path)
-    analysis = Analysis(config_of(folder))
-    analysis.run("runup")
+    (analysis := Analysis(config_of(folder))).run("runup")
     first = json.loads((folder / "run_up.json").read_text(encoding="utf-8"))["identified"]["first"]
     assert first["sentence"] in capsys.readouterr().out
     assert first["within"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Run, assert_says, pictures_left_out
+from conftest import Run, assert_says
 
 from pipeline.errors import ConfigError
 
@@ -29,8 +29,7 @@ def asked(celsius: float) -> str:
 def folder(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Readings at 45, 55 and 65 degC, their fit, and the summary at 70 degC."""
     made = tmp_path_factory.mktemp("warm")
-    with pictures_left_out():
-        run("summary", [*MACHINE, asked(70)], made)
+    run("summary", [*MACHINE, asked(70)], made)
     return made
 
 
