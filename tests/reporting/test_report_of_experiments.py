@@ -15,8 +15,8 @@ import pytest
 from conftest import assert_says
 from running import BROWSER, NO_BROWSER, ROOT, open_in_browser
 
-from pipeline.config.compose import compose_config
-from pipeline.stages import run_stage
+from pipeline.config.compose import compose_config, compose_stages
+from pipeline.stages import run_stage, run_stages
 
 pytestmark = pytest.mark.slow
 ARTIFACTS = ROOT / "artifacts"
@@ -114,8 +114,8 @@ def test_a_browser_if_there_is_one_draws_every_panel_without_a_word() -> None:
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_kind_of_experiment_has_a_report(name: str, tmp_path: Path) -> None:
     folder = shutil.copytree(ARTIFACTS / name, tmp_path / name)
-    for stage in ("verdict", "report") if (folder / "training.json").exists() else ("report",):
-        run_stage(compose_config([f"experiment={name}", f"stage={stage}", f"output={folder}", "tracking=none"]))
+    stages = "[verdict,report]" if (folder / "training.json").exists() else "report"
+    run_stages(compose_stages([f"experiment={name}", f"stage={stages}", f"output={folder}", "tracking=none"]))
     text = (folder / "report.html").read_text(encoding="utf-8")
     sections = set(re.findall(r'<section id="([\w-]+)">', text))
     assert sections >= OTHERS[name]
