@@ -20,12 +20,13 @@ import numpy as np
 from pipeline.coefficients import is_direct
 from pipeline.config.identification import LevenbergMarquardtConfig
 from pipeline.identification.blocks import Basis, for_model, orthonormal_basis
+from pipeline.identification.families import list_choices
 from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.linear_start import linear_start, read_modes, start_at
 from pipeline.identification.model import coefficient_model
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
-from pipeline.identification.search import Searched, list_choices, search
+from pipeline.identification.search import Searched, search
 from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.expansion import filter_bearings

@@ -321,7 +321,7 @@ class SensorModel:
         eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
         scales = torch.zeros(eight.shape[2], len(self.solved_at), dtype=torch.float64)
         references = torch.as_tensor(self.whole.response.references)
-        whole, shifted = self.blocks[b], bool(shift.any())
+        whole, shifted = self.blocks[b], shift.requires_grad or bool(shift.any())
         variation = self._variations[b] if (derivative or shifted) and self._variations else None
         varied = whole if variation is None or not shifted else whole.vary(variation, shift)
         nothing = torch.zeros(1, *self._softening[1].shape, dtype=torch.float64)

@@ -4,7 +4,7 @@ Each choice of a family for every bearing (:mod:`pipeline.laws.population`) is a
 For each, the problem is solved from the prior's mean and from draws, with readings that count little at first; in
 coordinates in which the prior has unit variance. Choices count by their evidence (Laplace's approximation, in which the
 volume counts in half), with the noise as large as the best of them leaves it. Where several are likely, what they
-differ by is part of the covariance.
+differ by is part of the covariance, and so is what the middle of a posterior and its peak differ by.
 
 Legend: G choices and starts, B bearings, K nodes, A active unknowns, Z weights, Y numbers of unit variance.
 """
@@ -18,175 +18,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.identification import LevenbergMarquardtConfig
-from pipeline.errors import ConfigError
-from pipeline.identification.blocks import Prior
+from pipeline.identification.families import Choices, Whitened
 from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
-from pipeline.identification.optimizers import LeastSquares, levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError, output_error
-from pipeline.impedance import list_places
-from pipeline.laws.population import FamilyPrior, make_priors
-from pipeline.problem.measurement import Measurement
-from pipeline.rotor.weight import estimate_journals, find_static_loads
 
 if TYPE_CHECKING:
     import torch
 
 
 @dataclass(frozen=True, eq=False)
-class Choices:
-    """Families of the bearings, and what they make of the coefficients' weights before the data: ``mean + root y``."""
-
-    priors: tuple[tuple[FamilyPrior, ...], ...]  # G of B
-    mean: torch.Tensor  # (G, A K)
-    root: torch.Tensor  # (G, A K, Y)
-
-    def select(self, at: Sequence[int]) -> Choices:
-        """Those at these places."""
-        index = list(at)
-        return Choices(tuple(self.priors[i] for i in index), self.mean[index], self.root[index])
-
-    def join(self, more: Choices) -> Choices:
-        """These, and then ``more`` of them."""
-        import torch
-
-        return Choices(self.priors + more.priors, torch.cat([self.mean, more.mean]), torch.cat([self.root, more.root]))
-
-    def beside(self, families: tuple[str, ...]) -> Choices:
-        """Those that differ from ``families`` at one bearing."""
-        differ = [sum(a != b for a, b in zip(others, families, strict=True)) for others in self.families]
-        return self.select([i for i, count in enumerate(differ) if count == 1])
-
-    @property
-    def families(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the families."""
-        return tuple(tuple(prior.family for prior in several) for several in self.priors)
-
-    def functions(self) -> Prior:
-        """The prior of the first choice as whitened rows."""
-        import torch
-
-        root = torch.block_diag(*(torch.as_tensor(prior.root) for prior in self.priors[0]))
-        rows = torch.linalg.solve_triangular(root, torch.eye(len(root), dtype=root.dtype), upper=False)
-        return Prior(rows, rows @ self.mean[0])
-
-
-def list_choices(
-    measurement: Measurement, families: Sequence[str], nodes: np.ndarray, most: int = 36, negligible: float = 1e-3
-) -> Choices:
-    """Every choice of the ``families`` over the bearings, at nodes (K,) rad/s; the same family for all bearings where
-    that were more than ``most``. Directions whose deviation is ``negligible`` are left out.
-
-    Raises ConfigError for bearings that share coefficients, ties between these, and direct ones that are known.
-    """
-    import torch
-
-    rotor, unknowns = measurement.rotor, measurement.unknowns
-    if unknowns.shared or (np.abs(unknowns.expansion).sum(axis=1) > 1).any():
-        raise ConfigError(
-            "a population of bearings must have identify.shared=false and identify.structure=none, since each bearing "
-            "and direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
-        )
-    priors = []
-    for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
-        coordinates = list_places([unknowns.names[u] for member, u in unknowns.active if member == m])
-        made = make_priors(families, nodes, float(load), float(diameter))
-        priors.append([prior.select(coordinates) for prior in made])
-    every: list[tuple[FamilyPrior, ...]] = list(itertools.product(*priors))
-    if len(every) > most:
-        every = list(zip(*priors, strict=True))
-    axes = {prior: _axes(prior, negligible) for prior in itertools.chain(*priors)}
-    count = max(root.shape[1] for root in axes.values())
-    wide = {prior: torch.nn.functional.pad(root, (0, count - root.shape[1])) for prior, root in axes.items()}
-    return Choices(
-        tuple(every),
-        torch.stack([torch.as_tensor(np.concatenate([prior.mean for prior in several])) for several in every]),
-        torch.stack([torch.block_diag(*(wide[prior] for prior in several)) for several in every]),
-    )
-
-
-def _axes(prior: FamilyPrior, negligible: float) -> torch.Tensor:
-    """(.., n) principal axes of a prior, each as long as its deviation."""
-    import torch
-
-    left, deviations, _ = np.linalg.svd(prior.root)
-    kept = deviations > negligible
-    return torch.as_tensor(left[:, kept] * deviations[kept])
-
-
-@dataclass(frozen=True, eq=False)
-class Whitened(LeastSquares):
-    """A problem in numbers (G, 1, Y') of unit variance before the data: those of the choices, and all other weights."""
-
-    problem: OutputError  # without a prior of functions
-    choices: Choices
-
-    @property
-    def size(self) -> int:
-        """Y'."""
-        return int(self.choices.root.shape[-1]) + self.problem.places.n_rest
-
-    def carry(self, by_weights: torch.Tensor) -> torch.Tensor:
-        """Derivatives (G, .., Z) by the weights as those (G, .., Y') by the numbers."""
-        import torch
-
-        alone, rest = by_weights.tensor_split([self.problem.places.n_coefficients], dim=-1)
-        return torch.cat([alone @ self.choices.root, rest], dim=-1)
-
-    def weights(self, y: torch.Tensor) -> torch.Tensor:
-        """(G, 1, Z)."""
-        import torch
-
-        alone, rest = y.tensor_split([self.choices.root.shape[-1]], dim=-1)
-        return torch.cat([self.choices.mean[:, None] + alone @ self.choices.root.mT, rest], dim=-1)
-
-    def rows(self, y: torch.Tensor, /) -> torch.Tensor:
-        """(G, 1, rows), the numbers of the choices last."""
-        import torch
-
-        return torch.cat([self.problem.rows(self.weights(y)), y[..., : self.choices.root.shape[-1]]], dim=-1)
-
-    def normal(self, y: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient (G, 1, Y') and information (G, 1, Y', Y')."""
-        import torch
-
-        gradient, matrix = self.problem.normal(self.weights(y))
-        prior = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)  # one for numbers of the choices
-        return self.carry(gradient) + prior * y, self.carry(self.carry(matrix[:, 0]).mT)[:, None] + torch.diag(prior)
-
-    def level(self, squared: torch.Tensor, /) -> torch.Tensor:
-        """(G, 1) root of the mean square of all rows."""
-        return (squared / self.problem.readings.size).sqrt()
-
-    def at(self, starts: torch.Tensor, /) -> Whitened:
-        """That of some choices."""
-        every = len(starts) == len(self.choices.priors)
-        return self if every else replace(self, choices=self.choices.select(starts.tolist()))
-
-    def minimise(self, y: torch.Tensor, still: float, steps: int = 25) -> torch.Tensor:
-        """Where all choices end, once no step lowers a loss by the share ``still``."""
-        section = LevenbergMarquardtConfig(steps=steps, patience=1, initial_damping=1e-3)
-        return levenberg_marquardt(self, y, section, until_still(still), by_diagonal=True)
-
-    def evidence(self, y: torch.Tensor, counted: float = 0.5) -> torch.Tensor:
-        """(G,) logarithm of the evidence about minima, up to a constant; minus infinity where there is none.
-
-        A family's evidence falls with the width of its prior, which was chosen, not measured: counted in full, narrow
-        families win that explain less. The posterior at its peak knows no width, and favours families that say nothing.
-        So the volume about the peak is ``counted`` in half, which is the geometric mean of both (studies/ordinary).
-        """
-        import torch
-
-        volume = torch.linalg.slogdet(self.normal(y)[1][:, 0])[1]
-        evidence: torch.Tensor = -(self.rows(y).square().sum(-1)[:, 0] + counted * volume) / 2
-        return evidence.nan_to_num(-float("inf"), neginf=-float("inf"))
-
-
-@dataclass(frozen=True, eq=False)
 class Searched:
-    """The most likely answer, and others that are likely, too."""
+    """The answer of the likeliest choice, and those of others that are likely, too."""
 
-    choices: Choices  # the best first
+    choices: Choices  # of the peaks, the best first, and then of their middles
     weights: torch.Tensor  # (G, 1, Z)
     covariance: torch.Tensor  # (G, Z, Z) of each by itself
     shares: np.ndarray  # (G,) of the evidence, with the sum one
@@ -213,6 +57,7 @@ def search(
     most_exact: float = 10.0,
     small: float = 0.05,
     coarse: float = 0.5,
+    negligible: float = 0.01,
     again: bool = True,
 ) -> Searched:
     """The minima of the likely choices, at the noise that the best of them leaves, a tenth (``most_exact``) of the
@@ -246,11 +91,54 @@ def search(
         noise, (correlation, _) = best.measurement.noise, estimate_correlation(best, at)
         if correlation > 0 or noise != problem.measurement.noise:
             changed = stated.with_noise(noise, stated.readings.measured).correlated(correlation)
-            return search(changed, choices, seed, kept, most_exact, small, coarse, again=False)
-    shares = np.asarray((evidence - evidence[0]).exp())
+            return search(changed, choices, seed, kept, most_exact, small, coarse, negligible, again=False)
+    likely = (evidence > evidence[0] + np.log(negligible)).nonzero()[:, 0]
+    return _add_middles(problem, replace(whitened.at(likely), problem=problem.scaled(precision)), y[likely], precision)
+
+
+def _add_middles(problem: OutputError, whitened: Whitened, y: torch.Tensor, precision: float) -> Searched:
+    """What is searched, from the likely peaks ``y``, with the middles of their posteriors behind them."""
+    import torch
+
+    each = [replace(whitened, choices=whitened.choices.select([g])) for g in range(len(y))]
+    middles = torch.cat([find_middle(alone, peak[None]) for alone, peak in zip(each, y, strict=True)])
+    by_choice = whitened.evidence(y).softmax(0)
+    within = (whitened.evidence(middles, counted=1.0) - whitened.evidence(y, counted=1.0)).sigmoid()
+    shares = torch.cat([by_choice * (1 - within), by_choice * within])
+    whitened = replace(whitened, choices=whitened.choices.join(whitened.choices))
+    y = torch.cat([y, middles])
     root = whitened.carry(torch.eye(problem.places.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
     covariance = root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ root.mT
-    return Searched(whitened.choices, whitened.weights(y), covariance, shares / shares.sum(), problem, precision)
+    return Searched(whitened.choices, whitened.weights(y), covariance, shares.numpy(), problem, precision)
+
+
+def find_middle(
+    whitened: Whitened, y: torch.Tensor, turns: int = 8, usual: float = 0.5, least: float = 0.02, still: float = 0.05
+) -> torch.Tensor:
+    """The middle (1, 1, Y') of the posterior of one choice, from its peak ``y``.
+
+    The peak of a density depends on the coordinates: it lies where they crowd. A rolling bearing makes the same bends
+    of its compliance with smaller ones of the logarithm of its stiffness where it is softer, so the peak lies at soft
+    ones, up to six deviations away from the middle. In coordinates of equal information everywhere it would lie where
+    half the squares and the logarithm of the volume's root together are least (Druilhet and Marin 2007); for one number
+    that is the median. From turn to turn the prior asks for a share of what balances their slopes, the ``usual`` one or
+    less, as long as their sum falls, by ``still`` or more.
+    """
+    import torch
+
+    asked, share = torch.zeros_like(y), usual
+    height = -float(whitened.evidence(y, counted=1.0))
+    for _ in range(turns):
+        tried = asked + share * (whitened.balance(y) - asked)
+        ahead = whitened.ask(tried).minimise(y, 1e-6, steps=40)
+        fallen = height + float(whitened.evidence(ahead, counted=1.0))
+        if fallen > 0:
+            asked, y, height, share = tried, ahead, height - fallen, min(1.5 * share, usual)
+        else:
+            share /= 3
+        if 0 < fallen < still or share < least:
+            break
+    return y
 
 
 def _settle(

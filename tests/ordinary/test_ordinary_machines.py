@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,11 +18,12 @@ from training import dense_jacobian
 from pipeline.config.compose import compose_config
 from pipeline.data.sensors import NoiseModel
 from pipeline.identification.answer import conclude, restore
+from pipeline.identification.families import Choices, Whitened, list_choices
 from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_from, fit_output_error
 from pipeline.identification.output_error_start import nodes_basis, prepare_output_error
 from pipeline.identification.problem import output_error
-from pipeline.identification.search import Whitened, list_choices, look_beside
+from pipeline.identification.search import find_middle, look_beside
 from pipeline.identification.storage import load_model, save_model
 from pipeline.identification.trained_network import train_from_nodes
 from pipeline.identification.training import FitSetup, Outcome, setup_of
@@ -170,7 +172,8 @@ def test_the_whitened_problem_is_its_dense_twin(at_nodes: OutputErrorFit) -> Non
     """Gradient and information by differences of the rows; the prior of the answer has the same square either way."""
     searched = at_nodes.start.searched
     whitened = Whitened(at_nodes.problem, searched.choices.select([0]))
-    bare = replace(whitened, problem=replace(at_nodes.problem, functions=searched.problem.functions))
+    nothing = output_error(at_nodes.problem.measurement, at_nodes.problem.basis, 1.0).functions
+    bare = replace(whitened, problem=replace(at_nodes.problem, functions=nothing))
     y = 0.1 * torch.randn(1, 1, bare.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     gradient, matrix = bare.normal(y)
     for place in (0, 7, bare.size - 1):
@@ -181,6 +184,64 @@ def test_the_whitened_problem_is_its_dense_twin(at_nodes: OutputErrorFit) -> Non
     off = searched.choices.functions().deviations(bare.weights(y)[:, 0, at_nodes.problem.places.coefficients])
     numbers = y[..., : searched.choices.root.shape[-1]]
     assert float(off.square().sum()) == pytest.approx(float(numbers.square().sum()), rel=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stiffness(Whitened):
+    """The logarithm of a stiffness whose value, over the prior's middle, was read with the deviation ``noise``."""
+
+    read: float
+    noise: float
+    asked: float = 0.0
+
+    @property
+    def size(self) -> int:
+        return 1
+
+    def rows(self, y: torch.Tensor, /) -> torch.Tensor:
+        return torch.cat([(y.exp() - self.read) / self.noise, y - self.asked], dim=-1)
+
+    def normal(self, y: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
+        slopes = torch.cat([y.exp() / self.noise, torch.ones_like(y)], dim=-1)
+        return (slopes * self.rows(y)).sum(-1, keepdim=True), slopes.square().sum(-1, keepdim=True)[..., None]
+
+    def level(self, squared: torch.Tensor, /) -> torch.Tensor:
+        return squared.sqrt()
+
+    def ask(self, asked: torch.Tensor) -> Whitened:
+        return replace(self, asked=float(asked))
+
+
+@pytest.mark.parametrize(("read", "noise"), [(0.3, 1.0), (1.0, 1.0), (2.0, 1.0), (0.3, 0.3), (0.0, 0.3)])
+def test_the_middle_is_nearer_the_median_than_the_peak(read: float, noise: float) -> None:
+    """Of a number whose posterior is integrated."""
+    places = SimpleNamespace(n_parameters=0)
+    nothing = torch.zeros(1, 1, 1, dtype=torch.float64)
+    choices = Choices(((),), nothing[0], nothing + 1)
+    problem = _Stiffness(cast(Any, SimpleNamespace(places=places)), choices, read, noise)
+    peak = problem.minimise(nothing, 1e-12, steps=50)
+    x = np.linspace(-8.0, 4.0, 20_001)
+    mass = np.exp(-((((np.exp(x) - read) / noise) ** 2) + x**2) / 2).cumsum()
+    median = float(np.interp(0.5, mass / mass[-1], x))
+    assert abs(float(find_middle(problem, peak)) - median) < 0.65 * abs(float(peak) - median)
+
+
+def test_priors_that_ask_for_numbers_are_their_dense_twin(at_nodes: OutputErrorFit) -> None:
+    """Gradient by differences of the rows; and the slope of the volume is that of its differences, at the numbers that
+    the rotor is solved at, too.
+    """
+    start = at_nodes.start
+    whitened = Whitened(start.searched.problem, start.searched.choices.select([0]))
+    y = torch.zeros(1, 1, whitened.size, dtype=torch.float64)
+    y[..., -start.problem.places.n_parameters :] = whitened.problem.sensors.solved_at
+    slopes = whitened.balance(y, held=1e12)
+    asking = whitened.ask(slopes)
+    for place in (3, whitened.size - 1):
+        step = 1e-4 * torch.nn.functional.one_hot(torch.tensor(place), whitened.size)
+        slope = float(whitened.volume(y + step) - whitened.volume(y - step)) / 2e-4
+        assert float(slopes[0, 0, place]) == pytest.approx(-slope, rel=1e-3, abs=1e-5)
+        square = (asking.rows(y + step).square().sum() - asking.rows(y - step).square().sum()) / 4e-4
+        assert float(square) == pytest.approx(float(asking.normal(y)[0][0, 0, place]), rel=1e-3, abs=1e-3)
 
 
 def test_the_readings_without_noise_are_explained(study: Any, measurement: tuple[Any, Any]) -> None:
