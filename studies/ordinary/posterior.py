@@ -118,7 +118,7 @@ def refer(
     assert searched is not None, "model=bearings searches"
     generator = torch.Generator().manual_seed(seed)
     every, weights, ratios, accepted = [], [], [], []
-    for g, share in enumerate(searched.shares):
+    for g, share in enumerate(searched.shares.reshape(2, -1).sum(axis=0)):  # of peaks and of their middles
         if share < negligible:
             continue
         problem = replace(fit.problem, functions=searched.choices.select([g]).functions())
