@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 EXPLAINED = 4.0
-"""Mean square over the noise up to which a start may be near the answer; a wrong valley leaves more."""
+"""Root mean square over the noise up to which a start may be near the answer; a wrong valley leaves more."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
