@@ -138,7 +138,7 @@ NO_MACHINE = "machine=base/none"
 
 
 def _compose_groups(groups: Sequence[str], stored: Sequence[Any], loader: Any) -> DictConfig:
-    """What groups of files compose to. Of those of ``conf/`` it is kept: reading it is a tenth of the work.
+    """What groups of files compose to. It is kept for those of ``conf/``: reading it is a tenth of the work.
 
     Values of a command and files of a user are not kept beyond this process, since they may be secret.
     """

@@ -212,7 +212,7 @@ def _gain(at_sensors: np.ndarray, prior: np.ndarray, deviation: np.ndarray) -> n
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Of a positive definite matrix; at the resonance of an estimate without damping, rounding leaves a single mode."""
+    """``matrix x = right``; at the resonance of an estimate without damping, rounding leaves a single mode of it."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
