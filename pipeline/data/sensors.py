@@ -34,12 +34,11 @@ class NoiseModel:
         size = float(np.exp(np.mean(np.log(self.deviation(readings) / other.deviation(readings)))))
         return replace(other, additive=other.additive * size, multiplicative=self.multiplicative * size)
 
-    def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | None = None) -> np.ndarray:
+    def deviation(self, displacement: np.ndarray, subtracted: np.ndarray | float = 0.0) -> np.ndarray:
         """(.., S, P, R) m, root mean square of the noise of each reading.
 
         The noise of a baseline that was ``subtracted`` (zero where none was) is still there.
         """
-        subtracted = np.zeros(1) if subtracted is None else subtracted
         read = np.hypot(self.additive, self.multiplicative * np.abs(displacement + subtracted))
         baseline = np.hypot(self.additive, self.multiplicative * np.abs(subtracted))
         return np.hypot(read, np.where(subtracted != 0, baseline, 0.0))

@@ -61,18 +61,18 @@ def simulate(
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     response = solve_response(rotor, bearings, excitations, runs, own_frequencies)
-    return show_everywhere(rotor, bearings, response, excitations, own_frequencies)
+    return show_everywhere(rotor, bearings, runs, response, excitations, own_frequencies)
 
 
 def show_everywhere(
     rotor: RotorModel,
     bearings: BearingTable,
+    runs: tuple[str, ...],
     response: np.ndarray,
     excitations: tuple[Excitation, ...],
     own_frequencies: np.ndarray | None = None,
 ) -> VibrationDataset:
     """x and y at every node that a probe may have, of a ``response`` (S, n, R) in m and rad."""
-    runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     channels = tuple((node, angle) for node in range(rotor.n_views) for angle in DIRECTIONS.values())
     shaft = np.arange(DOF_PER_NODE * rotor.n_nodes).reshape(-1, DOF_PER_NODE)[:, :TRANSLATIONS].ravel()
     seen = [rotor.show(node) @ response for node in range(rotor.n_nodes, rotor.n_views)]
@@ -101,8 +101,8 @@ def integrate(
     """
     runs = tuple(dict.fromkeys(excitation.run for excitation in excitations))
     forces = assemble_forces(rotor, excitations, runs, bearings.speeds)
-    response = np.stack([_settle(rotor, bearings, s, forces[s], steps) for s in range(len(bearings.speeds))])
-    return show_everywhere(rotor, bearings, response, excitations)
+    settled = [_settle(rotor, bearings, s, force, steps) for s, force in enumerate(forces)]
+    return show_everywhere(rotor, bearings, runs, np.stack(settled), excitations)
 
 
 def _settle(
@@ -130,7 +130,6 @@ def _settle(
         state = step @ state + push
     # From rest, one revolution leads to this state; m of them to (1 + P + .. + P^(m-1)) of it.
     turn = np.linalg.matrix_power(step, steps)
-    before = state
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable rotor
         for _ in range(doublings):
             before, state = state, state + turn @ state

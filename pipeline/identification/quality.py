@@ -136,10 +136,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
 
 
 def _count_repeated(fit: OutputErrorFit) -> int:
-    """Complex readings of runs whose excitation an earlier run of the same fit has."""
+    """Complex readings of runs that repeat an earlier run of the same fit."""
     data = fit.problem.measurement.dataset
-    every = [data.excitation_of(r) for r in range(len(data.runs))]
-    again = [r for r, excitation in enumerate(every) if excitation in every[:r]]
+    every = [data.describe_test(r) for r in range(len(data.runs))]
+    again = [r for r, test in enumerate(every) if test in every[:r]]
     return int(data.present[:, again].sum()) * len(data.channels)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -97,7 +96,7 @@ def note_alike(dataset: VibrationDataset, repeated: float = 0.1) -> list[str]:
     Readings of a run that was repeated differ by the share ``repeated`` at most (median).
     """
     every, notes = map(dataset.excitation_of, range(len(dataset.runs))), list[str]()
-    stated = [frozenset(replace(e, run="") for e in acting if e.magnitude) for acting in every]
+    stated = [frozenset(e for e in acting if e.magnitude) for acting in every]
     for a, b in combinations([r for r, acting in enumerate(stated) if acting], 2):
         pair = dataset.displacement[..., [a, b]]
         first, second = pair[(pair != 0).all(axis=-1)].T

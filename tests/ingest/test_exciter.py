@@ -41,14 +41,13 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
             folder / f"{i}.npz", force=0.0225 * felt[keep], **{name: values[keep] for name, values in shown.items()}
         )
         paths.append(str(folder / f"{i}.npz"))
-    averaging = {"segment": 2.0, "start_hz": 10, "stop_hz": 90, "step_hz": 2} | changes.get("averaging", {})
     config = ExciterRecordingsConfig.model_validate(
         {
             "format": "exciter",
             "signal_unit": "um",
             "sample_rate": RATE,
             "reference": {"channel": "force", "size": "1 V / (22.5 mV/N)"},
-            "averaging": averaging,
+            "averaging": {"segment": 2.0, "start_hz": 10, "stop_hz": 90, "step_hz": 2} | changes.get("averaging", {}),
             "probes": PROBES,
             "runs": [{"name": "push", "files": paths, "node": 0, "angle": "0 deg"}],
         }
@@ -107,8 +106,7 @@ def test_an_impact_that_does_not_ring_down_in_a_segment_is_told(folder: Path) ->
     assert read(folder, [push(20)], averaging=boxcar)[1].notes == ()  # it lasts
     notes = read(folder, [blow[: int(0.57 * RATE)]] * 3, averaging=boxcar | {"segment": 0.57})[1].notes
     shares = [float(note.split(": ")[1].split(" %")[0]) for note in notes if "left at the end of a segment" in note]
-    assert len(shares) == 3 * len(PROBES)
-    assert shares == pytest.approx([100 * np.exp(-DAMPING / (2 * MASS) * 0.5)] * len(shares), rel=0.1)
+    assert shares == pytest.approx([100 * np.exp(-DAMPING / (2 * MASS) * 0.5)] * 3 * len(PROBES), rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -172,6 +170,8 @@ def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.C
     off = answer[names].to_numpy() - list(real.values())
     assert (np.abs(off) < 0.05 * np.array(list(real.values()))).all()
     assert (np.abs(off) < 3.5 * answer[[f"{name}_std" for name in names]].to_numpy()).all()
+    fit = json.loads((folder / "out" / "training.json").read_text())["fit"]
+    assert list(fit["noise_factor"].values()) == pytest.approx([1.0] * 4, abs=0.3)  # lines are no repeats of each other
     modes = json.loads((folder / "out" / "prediction.json").read_text())["identified"]["modes"]
     modal = rotor.run_modal(speed, num_modes=24)
     order = np.argsort(modal.wd)[: len(modes)]
