@@ -168,7 +168,8 @@ def orthonormal_basis(model: CoefficientModel, parameters: torch.Tensor, points:
         ],
         dim=1,
     )
-    return Basis(model, model.without_output(parameters), weights, first.shape[-1])
+    without_output = torch.nn.functional.pad(parameters[..., : -model.n_output], (0, model.n_output))
+    return Basis(model, without_output, weights, first.shape[-1])
 
 
 def _orthonormal(columns: torch.Tensor, negligible: float = 1e-6) -> tuple[torch.Tensor, torch.Tensor]:

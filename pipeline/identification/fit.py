@@ -22,7 +22,7 @@ from pipeline.identification.identified import Fit
 from pipeline.identification.training import FitSetup, Progress, minimise
 from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
-from pipeline.problem.identifiability import Solvability, require_identifiable
+from pipeline.problem.identifiability import require_identifiable
 from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.write_numbers import write_rough
@@ -168,8 +168,7 @@ class OutputErrorLoss:
         from pipeline.identification.output_error_start import prepare_output_error
         from pipeline.identification.uncertainty import expect_uncertainty
 
-        solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
-        if not setup.model.has_laws and not (solvable and diagnosis.by_least_squares):
+        if not setup.model.has_laws and not diagnosis.solved:
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
         model = start.problem.identified(start.weights[:1])

@@ -50,11 +50,6 @@ def points_of(speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None) ->
     return {SPEED: speeds} | {name: np.broadcast_to(values, speeds.shape) for name, values in (operating or {}).items()}
 
 
-def varying(points: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """The speed, and the operating conditions that take more than one value at the ``points``."""
-    return tuple(name for name, values in points.items() if name == SPEED or np.ptp(values) > 0)
-
-
 # --- functions of them ----------------------------------------------------------------------------------
 
 

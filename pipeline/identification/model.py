@@ -20,7 +20,7 @@ import numpy as np
 from pipeline.coefficients import CoefficientName, is_direct
 from pipeline.config.models import ModelConfig
 from pipeline.errors import ConfigError, DataError
-from pipeline.identification.inputs import SPEED, activate, evaluate_functions, fade, trend_terms, varying
+from pipeline.identification.inputs import SPEED, activate, evaluate_functions, fade, trend_terms
 from pipeline.unknowns import outputs_of, scale_outputs
 
 if TYPE_CHECKING:
@@ -207,12 +207,6 @@ class CoefficientModel:
             start += (n_in + 1) * n_out
         return layers
 
-    def without_output(self, parameters: torch.Tensor) -> torch.Tensor:
-        """The parameters (..., Q) with an output layer of zeros."""
-        import torch
-
-        return torch.nn.functional.pad(parameters[..., : -self.n_output], (0, self.n_output))
-
     def physical(
         self, raw: torch.Tensor, scale: torch.Tensor, base: torch.Tensor | float = 0.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -341,7 +335,7 @@ def coefficient_model(
     )
     if not config.varies:
         return constant
-    inputs = varying(points)
+    inputs = tuple(name for name, values in points.items() if name == SPEED or np.ptp(values) > 0)
     if config.of_speed_alone and len(inputs) > 1:
         raise ConfigError(
             f"model.kind={config.kind} is made of functions of the speed alone, but the data have {inputs[1]}, too: "

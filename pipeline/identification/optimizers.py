@@ -70,7 +70,7 @@ def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, mo
     # Written out: torch.optim.Adam imports torch's compiler, which takes longer than many a fit.
     current = parameters.clone()
     mean, square = torch.zeros_like(current), torch.zeros_like(current)
-    over = torch.zeros(len(current), 1, 1, dtype=torch.bool)
+    over, last = torch.zeros(len(current), 1, 1, dtype=torch.bool), config.final_rate_fraction
     for step in range(1, config.steps + 1):
         trained = current.detach().requires_grad_()
         losses = problem.loss(trained)
@@ -81,18 +81,14 @@ def adam(problem: LeastSquares, parameters: torch.Tensor, config: AdamConfig, mo
         mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
         square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square()
         size = (square / (1 - _SQUARE_DECAY**step)).sqrt() + _ADAM_EPSILON
-        rate = config.learning_rate * _cosine_fraction((step - 1) / config.steps, config.final_rate_fraction)
+        falling = (1 + math.cos(math.pi * ((step - 1) / config.steps))) / 2  # as a cosine, to the ``last`` share
+        rate = config.learning_rate * (last + (1 - last) * falling)
         current = torch.where(over, current, current - rate * mean / (1 - _MEAN_DECAY**step) / size)
     return current
 
 
 # As Kingma & Ba (2015) propose.
 _MEAN_DECAY, _SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
-
-
-def _cosine_fraction(done: float, last: float) -> float:
-    """Share of the first learning rate when a part ``done`` of the steps is over, falling to ``last`` as a cosine."""
-    return last + (1 - last) * (1 + math.cos(math.pi * done)) / 2
 
 
 def lbfgs(problem: LeastSquares, parameters: torch.Tensor, config: LBFGSConfig, monitor: Monitor) -> torch.Tensor:

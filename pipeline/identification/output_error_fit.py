@@ -200,12 +200,6 @@ def reweigh(problem: OutputError, weights: torch.Tensor, factor: np.ndarray, rob
     return replace(problem, readings=readings.follow(predicted, factor, shares))
 
 
-def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
-    """(P,) deviation of each channel over the stated one: by runs that repeat each other, or by what the fit leaves."""
-    repeated = estimate_by_repeats(problem, weights)
-    return estimate_by_residuals(problem, weights) if repeated is None else repeated
-
-
 def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     """(P,) deviation of each channel over the stated one, from the medians of what the fit leaves over.
 
@@ -222,10 +216,11 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     return np.asarray(np.sqrt(squared / rest))
 
 
-def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarray | None:
-    """(P,) as :func:`estimate_by_residuals`, from runs of the same excitation; None where no run repeats another.
+def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
+    """(P,) deviation of each channel over the stated one, from runs that repeat each other: what differs between them
+    is noise whatever the model is, and half the squared difference of two has their variance.
 
-    What differs between them is noise whatever the model is: half the squared difference of two has their variance.
+    Where no run repeats another, :func:`estimate_by_residuals`.
     """
     squares = []
     for b, predicted in enumerate(problem.predicted(weights)):
@@ -242,4 +237,6 @@ def estimate_by_repeats(problem: OutputError, weights: torch.Tensor) -> np.ndarr
                 both = here[:, r] & here[:, before]
                 squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])
             last[key] = r
-    return np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)) if squares else None
+    if not squares:
+        return estimate_by_residuals(problem, weights)
+    return np.asarray(np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)))

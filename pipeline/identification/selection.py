@@ -220,8 +220,14 @@ class Evidence(NamedTuple):
         return sigma
 
     def is_chance(self, sigma: np.ndarray, count: int) -> bool:
-        """Whether weights of no size show this ``sigma`` (A,) as likely, where ``count`` variances are free."""
-        return chance_of_gain(2 * self._gain(sigma), count) > LAW_STANDS
+        """Whether weights of no size show this ``sigma`` (A,) as likely, where ``count`` variances are free.
+
+        Each of them is then zero or not by even odds, and gains chi-square (Self and Liang 1987).
+        """
+        from scipy.special import comb, gammaincc
+
+        freedom, gain = np.arange(1, count + 1), max(self._gain(sigma), 0.0)
+        return float((comb(count, freedom) * gammaincc(freedom / 2, gain)).sum() / 2.0**count) > LAW_STANDS
 
     def _gain(self, sigma: np.ndarray) -> float:
         """How much the logarithm of the likelihood, over all weights, rises from a sigma of zero to this one."""
@@ -247,13 +253,3 @@ def _expand(problem: OutputError, weights: torch.Tensor) -> Evidence:
     bearing = np.array([m for m, _ in problem.active])
     sigma = np.sqrt(unit[:, -1] / precision.reshape(unit.shape)[:, -1])
     return Evidence(data, right, unit, (bearing[:, None] == bearing).astype(float), sigma)
-
-
-def chance_of_gain(square: float, count: int) -> float:
-    """How likely twice such a gain is where nothing is to be corrected: each of ``count`` variances is then zero or not
-    by even odds, and gains chi-square (Self and Liang 1987).
-    """
-    from scipy.special import comb, gammaincc
-
-    freedom = np.arange(1, count + 1)
-    return float((comb(count, freedom) * gammaincc(freedom / 2, max(square, 0.0) / 2)).sum() / 2.0**count)

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError
 from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import HUBER, OutputErrorFit, fit_from
@@ -62,26 +61,17 @@ class Sense:
 
     def read(self, measurement: Measurement) -> Measurement:
         """The measurement as this sense has it; the frame always turns from x to y."""
-        known, drift = measurement.known, measurement.drift
-        if self.mirrored:
-            known = replace(known, values=known.values * _MIRRORED)
+        data, known, drift = measurement.dataset, measurement.known, measurement.drift
         if self.lag:
-            drift = drift.conjugated()
-        return replace(measurement, dataset=self._turn(measurement.dataset), known=known, drift=drift)
-
-    def _turn(self, data: VibrationDataset) -> VibrationDataset:
-        taken = data.subtracted
-        if self.lag:
-            data = replace(
-                data, displacement=data.displacement.conj(), subtracted=None if taken is None else taken.conj()
-            )
+            taken = data.subtracted if data.subtracted is None else data.subtracted.conj()
+            data, drift = replace(data, displacement=data.displacement.conj(), subtracted=taken), drift.conjugated()
         if self.against:
-            data = replace(
-                data, excitations=tuple(replace(excitation, phase=-excitation.phase) for excitation in data.excitations)
-            )
+            turned = tuple(replace(excitation, phase=-excitation.phase) for excitation in data.excitations)
+            data = replace(data, excitations=turned)
         if self.mirrored:
             data = replace(data, channels=tuple((node, -angle % 360.0) for node, angle in data.channels))
-        return data
+            known = replace(known, values=known.values * _MIRRORED)
+        return replace(measurement, dataset=data, known=known, drift=drift)
 
 
 SENSES = tuple(Sense(*flags) for flags in itertools.product((False, True), repeat=3))
@@ -125,7 +115,9 @@ class Senses:
         if rest and not others:
             other = next((trial for trial in rest if trial.sense != best.sense.twin), rest[0])
             text += f"; chi-square of the next machine ({other.sense.words}) is {other.chi_square:.3g} larger"
-            text += f" (odds of {_describe_odds(other.chi_square)} to one)"
+            certain = other.chi_square > 2 * math.log(1e6)
+            odds = "more than a million" if certain else f"{math.exp(other.chi_square / 2):.2g}"
+            text += f" (odds of {odds} to one)"
         if any(trial.sense == best.sense.twin for trial in self.open):
             text += (
                 f". The same machine mirrored ({best.sense.twin.words}) fits as well: only the sign of damping differs,"
@@ -143,15 +135,6 @@ class Senses:
                 "so fits may have stuck on their way; state noise and tolerances as they are first"
             )
         return text + "."
-
-
-def _describe_odds(chi_square: float) -> str:
-    if chi_square > _MOST:
-        return "more than a million"
-    return f"{math.exp(chi_square / 2):.2g}"
-
-
-_MOST = 2 * math.log(1e6)
 
 
 def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense], None] | None = None) -> Senses:

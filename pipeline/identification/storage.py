@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -64,33 +63,26 @@ def load_model(folder: Path) -> IdentifiedModel:
         parameters = numbers["parameters"]
         theta = numbers.get("theta", parameters.new_zeros(0))
         laws = LawSet.from_record(description["laws"]) if description.get("laws") else NO_LAWS
-        _require(
-            {
-                "the numbers do not fit the bearing laws": theta.shape == (len(laws.parameters),),
-                f"{tuple(parameters.shape)} numbers do not fit the architecture": parameters.shape
-                == (len(model.scale), model.n_parameters),
-                "the numbers are not finite and of double precision": bool(
-                    parameters.dtype == torch.float64 and parameters.isfinite().all() and theta.isfinite().all()
-                ),
-                "scale does not fit the bearings and unknowns": len(model.scale) in (1, len(nodes))
-                and all(len(row) == len(model.unknowns) for row in model.scale),
-                "expansion does not fit the bearings and unknowns": expansion.shape
-                == (len(nodes), len(COEFFICIENTS), len(model.unknowns)),
-            }
-        )
+        rules = {
+            "the numbers do not fit the bearing laws": theta.shape == (len(laws.parameters),),
+            f"{tuple(parameters.shape)} numbers do not fit the architecture": parameters.shape
+            == (len(model.scale), model.n_parameters),
+            "the numbers are not finite and of double precision": bool(
+                parameters.dtype == torch.float64 and parameters.isfinite().all() and theta.isfinite().all()
+            ),
+            "scale does not fit the bearings and unknowns": len(model.scale) in (1, len(nodes))
+            and all(len(row) == len(model.unknowns) for row in model.scale),
+            "expansion does not fit the bearings and unknowns": expansion.shape
+            == (len(nodes), len(COEFFICIENTS), len(model.unknowns)),
+        }
+        for broken in (rule for rule, holds in rules.items() if not holds):
+            raise ValueError(broken)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
         ) from None
     shared = len(model.scale) < len(nodes)
     return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters, laws, theta)
-
-
-def _require(laws: Mapping[str, bool]) -> None:
-    """Raise ValueError with what is wrong where a law does not hold."""
-    for wrong, holds in laws.items():
-        if not holds:
-            raise ValueError(wrong)
 
 
 # --- with the measurement --------------------------------------------------------------------------------
@@ -110,11 +102,8 @@ def load_answer(folder: Path, identify: IdentifyConfig, measurement: Measurement
         f"the unknowns {', '.join(identify.named())}": _match(identify.unknowns_of(nodes), model.unknowns),
         "identify.model_parameters": fitted == stated,
     }
-    for law, holds in laws.items():
-        if not holds:
-            raise DataError(
-                f"'{training}' must belong to {law}, but it does not: run stage=train with the same overrides"
-            )
+    for law in (law for law, holds in laws.items() if not holds):
+        raise DataError(f"'{training}' must belong to {law}, but it does not: run stage=train with the same overrides")
     return answer_of(measurement, model, load_uncertainty(folder, model))
 
 

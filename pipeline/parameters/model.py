@@ -168,11 +168,3 @@ def update_rotor(rotor: RotorModel, parameters: Sequence[ModelParameter]) -> Rot
 
 
 _MATRICES = ("mass", "damping", "gyroscopic", "stiffness")
-
-
-def of_machine_alone(parameters: Sequence[ModelParameter]) -> tuple[ModelParameter, ...]:
-    """The same with exact probes and weights and a straight shaft, for vibration that no probe shows."""
-    return tuple(
-        parameter if parameter.row.scope == "machine" else replace(parameter, deviation=0.0, place=0)
-        for parameter in parameters
-    )

@@ -47,6 +47,11 @@ class Diagnosis:
     deviations: Deviations  # of least squares of each speed by itself, or of a guess by smooth functions
     by_least_squares: bool = True  # which of the two
 
+    @property
+    def solved(self) -> bool:
+        """Whether least squares of each speed has an answer at every bearing."""
+        return self.by_least_squares and all(r.verdict is not Solvability.NOT_IDENTIFIABLE for r in self.reports)
+
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
         b = self.deviations.table.nodes.index(node)

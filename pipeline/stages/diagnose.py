@@ -12,7 +12,6 @@ from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
 from pipeline.problem.determination import summarize_determined
 from pipeline.problem.diagnosis import budget_percent
-from pipeline.problem.identifiability import Solvability
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.diagnosis import (
     describe_combinations,
@@ -56,8 +55,7 @@ def run(analysis: Analysis) -> StageRecord:
         "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
         **numbers,
     }
-    solvable = all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in diagnosis.reports)
-    judges = solvable and diagnosis.by_least_squares and loss_of(config.loss).weighs_noise
+    judges = diagnosis.solved and loss_of(config.loss).weighs_noise
     if judges and (combined := combine(measurement, setup_of(config))) is not None:
         say(f"{config.name}: {describe_combinations(combined)}")
         summary["combinations"] = summarize_combinations(combined)

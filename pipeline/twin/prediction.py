@@ -26,7 +26,6 @@ from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import finite
 from pipeline.identification.readings import read_answer
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.parameters.model import of_machine_alone
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.response import derive_by_parameters, respond
@@ -86,7 +85,11 @@ def add_deviation(
     by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     slopes = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
-        parameters = of_machine_alone(measurement.parameters)
+        # With exact probes and weights and a straight shaft: no probe shows this vibration.
+        parameters = tuple(
+            parameter if parameter.row.scope == "machine" else replace(parameter, deviation=0.0, place=0)
+            for parameter in measurement.parameters
+        )
         (variation,) = response_variations(measurement.rotor, dataset, stiffness, (), parameters)
         change = equations.change(bearings, equations.blocks[0])
         response = respond(equations.blocks[0], change)
