@@ -23,7 +23,7 @@ STATEMENTS = {
     "config": 1711,
     "laws": 482,
     "rotor": 736,
-    "data": 1048,
+    "data": 1045,
     "parameters": 444,
     "sweep": 246,
     "ingest": 1646,
@@ -45,7 +45,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18608, 14500),
+    "statements of pipeline/": (18605, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (333, 420),

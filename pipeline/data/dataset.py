@@ -137,14 +137,9 @@ class VibrationDataset:
         return int(self.present.sum()) * len(self.channels)
 
     def excitation_of(self, run: int) -> tuple[Excitation, ...]:
-        """What acts in the run of this index, without its name."""
+        """What acts in the run of this index, without its name: equal for runs that repeat each other, if their
+        frequencies are."""
         return tuple(replace(excitation, run="") for excitation in self.excitations if excitation.run == self.runs[run])
-
-    def describe_test(self, run: int) -> tuple[tuple[Excitation, ...], tuple[float, ...]]:
-        """:meth:`excitation_of`, and the run's frequencies (rad/s), 0 where they are the rotor's: equal for runs that
-        repeat each other."""
-        w = self.frequencies[:, run]
-        return self.excitation_of(run), tuple(np.where(synchronous(w, self.speeds), 0.0, w))
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model_error import MeanSquareError, measure_error, noise_alone
@@ -229,10 +230,10 @@ def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
         taken = problem.measurement.baseline[..., runs]
         deviation = problem.measurement.deviation_of(predicted[0].numpy() + taken, runs=runs)
         here = problem.readings.present(b).numpy()[:, 0] > 0  # (S, R)
-        last: dict[tuple[object, ...], int] = {}
+        last: dict[tuple[Excitation, ...], int] = {}  # runs of a block have the same frequencies
         for r, run in enumerate(runs):
             # By what is stated: a fitted weight of one run is not that of another.
-            before = last.get(key := problem.measurement.dataset.describe_test(int(run)))
+            before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
             if before is not None:
                 both = here[:, r] & here[:, before]
                 squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])

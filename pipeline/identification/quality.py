@@ -136,10 +136,12 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
 
 
 def _count_repeated(fit: OutputErrorFit) -> int:
-    """Complex readings of runs that repeat an earlier run of the same fit."""
-    data = fit.problem.measurement.dataset
-    every = [data.describe_test(r) for r in range(len(data.runs))]
-    again = [r for r, test in enumerate(every) if test in every[:r]]
+    """Complex readings of runs that repeat an earlier run of the same fit: at the same frequencies, as a block has."""
+    data, blocks = fit.problem.measurement.dataset, fit.problem.readings.runs
+    acting = [[data.excitation_of(r) for r in runs] for runs in blocks]
+    again = [
+        runs[i] for runs, every in zip(blocks, acting, strict=True) for i in range(len(runs)) if every[i] in every[:i]
+    ]
     return int(data.present[:, again].sum()) * len(data.channels)
 
 
