@@ -152,20 +152,22 @@ def hash_parts(*parts: bytes | str) -> str:
 
 
 def look_up(kind: str, key: str) -> bytes | None:
-    """The content kept under ``key``; None where there is none."""
+    """The content kept under ``key``; None where there is none, or a damaged entry."""
     try:
-        return (CACHE / kind / key).read_bytes()
+        entry = (CACHE / kind / key).read_bytes()
     except OSError:
         return None
+    return entry[32:] if entry[:32] == hash_parts(key, entry[32:]).encode() else None
 
 
 def keep(kind: str, key: str, content: bytes, most: int = 300) -> None:
-    """Keep ``content`` under ``key``, with at ``most`` so many entries of its kind: beyond, the oldest go.
+    """Keep ``content`` under ``key``, its hash before it, with at ``most`` so many entries of its kind: beyond, the
+    oldest go.
 
     Nothing is raised where that can't be done.
     """
     with contextlib.suppress(StorageError, OSError):
-        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(content), 0o600)
-        entries = sorted(path.parent.iterdir(), key=lambda entry: entry.stat().st_mtime)
-        for entry in entries[:-most]:
-            entry.unlink(missing_ok=True)
+        entry = hash_parts(key, content).encode() + content
+        path = write_beside(CACHE / kind / key, lambda beside: beside.write_bytes(entry), 0o600)
+        for oldest in sorted(path.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-most]:
+            oldest.unlink(missing_ok=True)

@@ -203,10 +203,16 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
 
 
 def test_tracks_are_kept_by_what_they_are_made_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another weight reads no signal again and gives the same bits; another file is read."""
+    """Another weight reads no signal again and gives the same bits; another file is read, and a damaged entry made
+    anew."""
+    monkeypatch.setattr("pipeline.files.CACHE", tmp_path / "cache")
     path = write_hdf5(tmp_path / "one.h5", run_up(0.0))
     section = signal_config("", [RUNS[0] | {"file": str(path)}], slow_roll={"below_rpm": 420})
     first = read(section)
+    (entry,) = (tmp_path / "cache" / "tracks").iterdir()
+    for damaged in (entry.read_bytes()[:-1], entry.read_bytes().replace(b"1", b"2")):
+        entry.write_bytes(damaged)
+        assert read(section).displacement.tobytes() == first.displacement.tobytes()
     monkeypatch.setattr("pipeline.ingest.order_tracking._fit_each", lambda *_: pytest.fail("it is fitted again"))
     other = read(section | {"runs": [section["runs"][0] | {"unbalances": RUNS[1]["unbalances"]}]})
     assert other.displacement.tobytes() == first.displacement.tobytes()

@@ -164,6 +164,19 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
     assert load_rotor(config.machine.rotor).fingerprint == first.fingerprint
 
 
+def test_a_damaged_entry_is_no_entry(own_cache: Path) -> None:
+    """Cut anywhere, with any of its bits turned, or under another name: what was kept is not believed."""
+    files.keep("things", "key", b"12.5")
+    path = own_cache / "things" / "key"
+    kept = path.read_bytes()
+    turned = [kept[:i] + bytes([kept[i] ^ 1 << bit]) + kept[i + 1 :] for i in range(len(kept)) for bit in range(8)]
+    for damaged in (*(kept[:i] for i in range(len(kept))), *turned, b"12.5", kept + b"0"):
+        path.write_bytes(damaged)
+        assert files.look_up("things", "key") is None
+    path.with_name("another").write_bytes(kept)
+    assert files.look_up("things", "another") is None
+
+
 def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     config = compose_config(BALL).machine.rotor
     assert hash_rotor(config) != hash_rotor(config.model_copy(update={"shear_effects": False}))
