@@ -44,6 +44,9 @@ from benchmarks.machines import machine as modelled_machine
 for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
+# ROSS compiles how it draws orbits of modes, 7 s in each process, and no test asks for many.
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+
 # The packages make a million objects that stay, as `pipeline/__main__.py` says.
 gc.set_threshold(100_000, 50, 100)
 

@@ -25,8 +25,10 @@ from docs.size import (
     STATEMENTS,
     count_statements,
     list_bindings,
+    list_nodes,
     measure_house,
     measure_rooms,
+    parse,
 )
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,10 +82,7 @@ class Import:
 @cache
 def sources() -> dict[str, ast.Module]:
     """Every module of the package, parsed."""
-    return {
-        path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text(encoding="utf-8"), str(path))
-        for path in sorted(PACKAGE.rglob("*.py"))
-    }
+    return {path.relative_to(PACKAGE).as_posix(): parse(path) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 @cache
@@ -260,7 +259,7 @@ def words() -> tuple[tuple[str, ast.expr, str], ...]:
     return tuple(
         (file, node, ast.unparse(node.func if isinstance(node, ast.Call) else node))
         for file, tree in sources().items()
-        for node in ast.walk(tree)
+        for node in list_nodes(tree)
         if isinstance(node, kinds)
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -136,3 +137,9 @@ CHAINS = {
     "adam, levenberg_marquardt": (optimizer(adam=300, lm=20), 1e-12),
     "all three": (optimizer(adam=250, lbfgs=10, lm=10), 1e-12),
 }
+
+
+def assert_close(found: Any, wanted: Any, rtol: float = 1e-7, atol: float = 1e-7) -> None:
+    """Tensors, or tuples of them; ``torch.testing`` imports what serves many machines, for seconds."""
+    for one, other in zip(found, wanted, strict=True) if isinstance(found, tuple) else [(found, wanted)]:
+        np.testing.assert_allclose(one.detach(), other.detach(), rtol=rtol, atol=atol, equal_nan=False)

@@ -13,7 +13,7 @@ import torch
 from conftest import Machine, unknown_at_all
 from hypothesis import given
 from hypothesis import strategies as st
-from training import CHAINS, a_model, asked, errors, optimizer, setup_of, starts, trained
+from training import CHAINS, a_model, asked, assert_close, errors, optimizer, setup_of, starts, trained
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
@@ -39,7 +39,7 @@ def test_network_jacobian_equals_autograd(depth: int | None, activation: str, ge
     for g in range(2):
         for m in range(2):
             wanted = torch.autograd.functional.jacobian(lambda p: model.raw(p, inputs), parameters[g, m])
-            torch.testing.assert_close(found[g, m].expand_as(wanted), wanted, rtol=1e-10, atol=1e-12)
+            assert_close(found[g, m].expand_as(wanted), wanted, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
@@ -61,10 +61,10 @@ def test_problem_jacobian_equals_autograd(
     found = prepared.problem.jacobian(parameters)
     wanted = torch.autograd.functional.jacobian(prepared.problem.rows, parameters)  # (1, M, rows, 1, M, P)
     for m in range(shape[1]):
-        torch.testing.assert_close(found[0, m], wanted[0, m, :, 0, m], rtol=1e-9, atol=1e-11)
+        assert_close(found[0, m], wanted[0, m, :, 0, m], rtol=1e-9, atol=1e-11)
         # A bearing's rows know nothing of the other's parameters.
         assert not wanted[0, m, :, 0, [other for other in range(shape[1]) if other != m]].any()
-    torch.testing.assert_close(
+    assert_close(
         prepared.problem.normal(parameters),
         (torch.einsum("gmrq,gmr->gmq", found, prepared.problem.rows(parameters)), found.mT @ found),
         rtol=1e-9,
@@ -208,7 +208,7 @@ def test_tied_fit_of_unlike_bearings_is_a_compromise(hydrostatic: Machine) -> No
     parameters = torch.zeros(1, 2, single.problem.model.n_parameters, dtype=torch.float64)
     same = replace(single.problem, scale=tied.problem.scale.expand(2, -1, -1))
     both = same.loss(parameters).square().mean(dim=1).sqrt()
-    torch.testing.assert_close(tied.problem.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
+    assert_close(tied.problem.loss(parameters[:, :1])[:, 0], both, rtol=1e-12, atol=0)
 
 
 def test_known_answer_has_zero_gradient(ball: Machine, generator: torch.Generator) -> None:
@@ -263,5 +263,5 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     other_train = replace(other.problem, scale=clean.problem.scale)
     assert other.held_out is not None
     other_held = replace(other.held_out, scale=clean.problem.scale)
-    torch.testing.assert_close(other_train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
+    assert_close(other_train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
     assert not torch.equal(other_held.loss(parameters), clean.held_out.loss(parameters))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from oil_rig import LUND, NOISE, RUNS, SHAKEN, SHORT, TRUE, bearings_at, laws_of, measure, setup
-from training import dense_jacobian
+from training import assert_close, dense_jacobian
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.identification.fit import fit
@@ -106,13 +106,13 @@ def test_derivatives_are_those_of_the_rows() -> None:
     problem, weights = _problem(measure(bearings_at(RPM[:3], WARM[:2]), laws_of(LUND, FAR)))
     slope, step = dense_jacobian(problem, weights), 1e-6
     gradient, matrix = problem.normal(weights)
-    torch.testing.assert_close(slope.T @ problem.rows(weights)[0, 0], gradient[0, 0], rtol=1e-8, atol=1e-6)
-    torch.testing.assert_close(slope.T @ slope, matrix[0, 0], rtol=1e-8, atol=1e-4)
+    assert_close(slope.T @ problem.rows(weights)[0, 0], gradient[0, 0], rtol=1e-8, atol=1e-6)
+    assert_close(slope.T @ slope, matrix[0, 0], rtol=1e-8, atol=1e-4)
     for z in range(problem.places.n_coefficients - 2, problem.places.size):
         moved = torch.zeros_like(weights)
         moved[0, 0, z] = step
         along = (problem.rows(weights + moved) - problem.rows(weights - moved))[0, 0] / (2 * step)
-        torch.testing.assert_close(slope[:, z], along, rtol=1e-5, atol=1e-4)
+        assert_close(slope[:, z], along, rtol=1e-5, atol=1e-4)
 
 
 def _problem(measurement: Measurement) -> tuple[OutputError, torch.Tensor]:

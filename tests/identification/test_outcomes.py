@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import Machine, unknown_at_all
-from training import CHAINS, a_model, asked, minimised, optimizer, setup_of, starts, trained
+from training import CHAINS, a_model, asked, assert_close, minimised, optimizer, setup_of, starts, trained
 
 from pipeline.config.compose import compose_config
 from pipeline.config.identification import OptimizerConfig
@@ -41,7 +41,7 @@ def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerC
     _, together = trained(asked(ball), setup, guesses)
     for g, guess in enumerate(guesses):
         _, alone = trained(asked(ball), setup, [guess])
-        torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
+        assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
         assert together.loss[g] == pytest.approx(alone.loss[0], rel=1e-12, abs=1e-14)
 
 
@@ -58,7 +58,7 @@ def test_a_named_device_trains_as_the_default(monkeypatch: pytest.MonkeyPatch, h
         minimised(prepared, start, replace(setup, training=setup.training.model_copy(update={"device": name})))
         for name in ("cpu", "cuda" if at_hand else "cpu:0")
     )
-    torch.testing.assert_close(named.parameters, default.parameters, rtol=1e-8 if at_hand else 0, atol=0)
+    assert_close(named.parameters, default.parameters, rtol=1e-8 if at_hand else 0, atol=0)
     assert (named.parameters.device.type, named.outcomes) == ("cpu", default.outcomes)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(ConfigError, match=r"training.device=cuda must have a GPU .* `make env TORCH=cuda`"):
@@ -77,7 +77,7 @@ def test_seeds_of_a_network_trained_together(hydrostatic: Machine) -> None:
     setup = replace(setup, model=setup.model.model_copy(update={"width": 6}))
     together, each = three_seeds(prepare_residual(asked(hydrostatic), setup), setup)
     for g, alone in enumerate(each):
-        torch.testing.assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
+        assert_close(together.parameters[g], alone.parameters[0], rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("phases", [optimizer(lm=60), optimizer(adam=40, lm=60)])

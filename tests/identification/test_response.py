@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import Machine, MachineFactory, bearings_of
-from training import dense_jacobian
+from training import assert_close, dense_jacobian
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
@@ -294,8 +294,8 @@ def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
     free = 0.1 * torch.randn(1, 1, short.places.size, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     long = short.with_features(free, problem.features.shape[-1])
     for one, other in zip(short.predicted(free), problem.predicted(long), strict=True):
-        torch.testing.assert_close(one, other)
-    torch.testing.assert_close(problem.with_features(long, 4), free)
+        assert_close(one, other)
+    assert_close(problem.with_features(long, 4), free)
 
 
 def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import ross as rs
 import yaml
 from machine_files import given_by
-from scipy.signal import butter, lsim, sosfilt
+from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 
 from pipeline.__main__ import main
 from pipeline.errors import DataError
 from pipeline.ingest.dataset import join_responses
 from pipeline.ingest.exciter import ExciterRecordingsConfig, FrequencyResponse
+from pipeline.rotor.ross_adapter import ross
 
+RS = ross()
 MASS, DAMPING, STIFFNESS, RATE = 2.0, 12.0, 2e5, 4000.0
+# A force that is linear between samples; scipy.signal.lsim gives the same, and steps in Python.
+FILTER = [np.ravel(part) for part in cont2discrete(([1.0], [MASS, DAMPING, STIFFNESS]), 1 / RATE, method="foh")[:2]]
 PROBES = {name: {"node": 0, "angle": angle, "channel": name} for name, angle in (("a", "45 deg"), ("b", "135 deg"))}
 
 
@@ -28,8 +31,7 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
     """A mass on a spring, pushed along x in each file, with noise as shares of motion and force; and its averages."""
     generator, paths = np.random.default_rng(3), []
     for i, force in enumerate(forces):
-        time = np.arange(len(force)) / RATE
-        motion = lsim(([1.0], [MASS, DAMPING, STIFFNESS]), force, time)[1]
+        motion = lfilter(*FILTER, force)
         drawn = generator.standard_normal((3, len(force)))
         channels = {"a": motion / np.sqrt(2), "b": -motion / np.sqrt(2)}  # x at 45 and at 135 degrees
         shown = {
@@ -59,7 +61,7 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
 def off(data: Any) -> np.ndarray:
     """Errors of x over their stated root mean square, of all lines."""
     w = data.own_frequencies[0]
-    real = np.sinc(w / (2 * np.pi * RATE)) ** 2 / (STIFFNESS - w**2 * MASS + 1j * w * DAMPING)  # lsim's force is linear
+    real = np.sinc(w / (2 * np.pi * RATE)) ** 2 / (STIFFNESS - w**2 * MASS + 1j * w * DAMPING)  # the force is linear
     return np.abs(data.displacement[0, 0] - real) / data.noise[0, 0]
 
 
@@ -128,13 +130,13 @@ def test_what_can_not_be_averaged_is_told(seconds: int, changes: dict[str, float
 @pytest.mark.parametrize("rpm", [0, 3000])
 def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Random forces on ROSS's rotor, by ROSS's own response in time: bearings within their bands, and its modes."""
-    steel = rs.Material("steel", rho=7810, E=211e9, G_s=81.2e9)
-    shaft = [rs.ShaftElement(0.3, 0.0, 0.05, material=steel) for _ in range(4)]
+    steel = RS.Material("steel", rho=7810, E=211e9, G_s=81.2e9)
+    shaft = [RS.ShaftElement(0.3, 0.0, 0.05, material=steel) for _ in range(4)]
     real = {1: (2e7, 3e7, 8e3, 9e3), 4: (2.5e7, 3.5e7, 7e3, 6e3)}
     bearings = [
-        rs.BearingElement(n, **dict(zip(("kxx", "kyy", "cxx", "cyy"), c, strict=True))) for n, c in real.items()
+        RS.BearingElement(n, **dict(zip(("kxx", "kyy", "cxx", "cyy"), c, strict=True))) for n, c in real.items()
     ]
-    rotor = rs.Rotor(shaft, [rs.DiskElement.from_geometry(2, steel, 0.05, 0.05, 0.26)], bearings)
+    rotor = RS.Rotor(shaft, [RS.DiskElement.from_geometry(2, steel, 0.05, 0.05, 0.26)], bearings)
     rotor.save(str(folder / "rotor.toml"))
     speed, time, generator = rpm * np.pi / 30, np.arange(int(30 * RATE)) / RATE, np.random.default_rng(5)
     for name, axis in (("x", 0), ("y", 1)):

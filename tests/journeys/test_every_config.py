@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ def test_every_stage_of_an_experiment_again_gives_the_same_bits(
     assert [name for name in first if again[name] != first[name]] == []
 
 
+@cache
 def _defaults() -> dict[str, str]:
     """The option of each group that the default experiment has."""
     import yaml

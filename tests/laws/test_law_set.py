@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from training import assert_close
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError, DataError
@@ -79,7 +80,7 @@ def test_slopes_are_those_of_differences(given: LawSet, size: float) -> None:
         step[:, i] = 1e-5
         ends = [given.coefficients(theta + sign * step, SPEEDS, operating)[0] for sign in (1, -1)]
         scale = values.abs().amax(dim=(2, 3), keepdim=True)
-        torch.testing.assert_close((ends[0] - ends[1]) / 2e-5 / scale, slopes[..., i] / scale, rtol=1e-5, atol=1e-6)
+        assert_close((ends[0] - ends[1]) / 2e-5 / scale, slopes[..., i] / scale, rtol=1e-5, atol=1e-6)
 
 
 def test_a_short_bearing_is_that_of_ross() -> None:
@@ -136,8 +137,8 @@ def test_beyond_its_rows_a_table_goes_on_smoothly_and_says_so() -> None:
     curve = read_film_table(LUND["table"]).curves[0]
     for end, side in ((curve.nodes[0], -1), (curve.nodes[-1], 1)):
         before, after = (curve.evaluate(torch.tensor([end + step], dtype=torch.float64)) for step in (-1e-7, 1e-7))
-        torch.testing.assert_close(before[0], after[0], rtol=1e-6, atol=1e-6)
-        torch.testing.assert_close(before[1], after[1], rtol=1e-4, atol=1e-4)
+        assert_close(before[0], after[0], rtol=1e-6, atol=1e-6)
+        assert_close(before[1], after[1], rtol=1e-4, atol=1e-4)
         assert torch.isfinite(curve.evaluate(torch.tensor([end + 20.0 * side], dtype=torch.float64))[0]).all()
     shares = given.outside(torch.tensor([[0.0], [np.log(10.0)]], dtype=torch.float64), SPEEDS, WARM)
     assert shares.shape == (2, 1)

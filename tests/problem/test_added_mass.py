@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import ross as rs
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
@@ -19,10 +18,12 @@ from pipeline.identification.training import setup_of
 from pipeline.parameters.model import model_parameters
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.ross_adapter import ross
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
+RS = ross()
 SPEEDS, NODES, MASSES = np.linspace(100.0, 700.0, 24), (1, 4, 7), (9.0, 0.6, -0.5, 8.0)
 FILMS = [
     (2e7, 3e6, -4e6, 1.5e7, 2e4, 1e3, 2e3, 1.5e4),
@@ -36,17 +37,17 @@ ACTING = (
 )
 
 
-def build(masses: tuple[float, ...]) -> rs.Rotor:
+def build(masses: tuple[float, ...]) -> RS.Rotor:
     """Two bearings, and between them a seal, whose fluid has ``masses``."""
-    steel = rs.Material("steel", rho=7810, E=211e9, G_s=81.2e9)
-    discs = [rs.DiskElement.from_geometry(n, steel, 0.05, 0.05, d) for n, d in ((2, 0.22), (6, 0.26))]
+    steel = RS.Material("steel", rho=7810, E=211e9, G_s=81.2e9)
+    discs = [RS.DiskElement.from_geometry(n, steel, 0.05, 0.05, d) for n, d in ((2, 0.22), (6, 0.26))]
     films = [dict(zip(COEFFICIENTS, film, strict=True)) for film in FILMS]
     films[1] |= dict(zip(("mxx", "mxy", "myx", "myy"), masses, strict=True))
-    standing = [rs.BearingElement(node, **film) for node, film in zip(NODES, films, strict=True)]
-    return rs.Rotor([rs.ShaftElement(0.15, 0.0, 0.05, material=steel) for _ in range(8)], discs, standing)
+    standing = [RS.BearingElement(node, **film) for node, film in zip(NODES, films, strict=True)]
+    return RS.Rotor([RS.ShaftElement(0.15, 0.0, 0.05, material=steel) for _ in range(8)], discs, standing)
 
 
-def respond(rotor: rs.Rotor) -> np.ndarray:
+def respond(rotor: RS.Rotor) -> np.ndarray:
     """(S, 6, 3) x and y of each node by ROSS's matrices."""
     rows = [6 * node + d for node in NODES for d in range(2)]
     response = np.zeros((len(SPEEDS), len(rows), len(ACTING)), dtype=complex)

@@ -14,6 +14,7 @@ import torch
 from conftest import Machine, examples, unknown_at_all
 from hypothesis import given
 from hypothesis import strategies as st
+from training import assert_close
 
 from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
@@ -202,7 +203,7 @@ def test_equation_7_by_autograd(hydrostatic: Machine, rng: np.random.Generator) 
     norm = residual.abs().square().sum().sqrt()
     norm.backward()
     wanted = (residual @ q.mH / norm).detach()
-    torch.testing.assert_close(impedance.grad, wanted, rtol=1e-10, atol=1e-10 * wanted.abs().max().item())
+    assert_close(impedance.grad, wanted, rtol=1e-10, atol=1e-10 * wanted.abs().max().item())
 
 
 @pytest.mark.parametrize("scaling", ["none", "per_speed"])
@@ -278,9 +279,7 @@ def test_member_is_the_problem_of_one_bearing(hydrostatic: Machine, generator: t
     parameters = torch.randn(2, 2, model.n_parameters, generator=generator, dtype=torch.float64)
     together = problem.loss(parameters)
     for m in range(2):
-        torch.testing.assert_close(
-            problem.members()[m].loss(parameters[:, m : m + 1])[:, 0], together[:, m], rtol=1e-13, atol=0
-        )
+        assert_close(problem.members()[m].loss(parameters[:, m : m + 1])[:, 0], together[:, m], rtol=1e-13, atol=0)
 
 
 @pytest.mark.parametrize("name", ["hydrostatic", "ball"])

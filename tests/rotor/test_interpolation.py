@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from pipeline.rotor.stored import load_rotor
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 LENGTH = 0.56
-SPEEDS = np.linspace(40.0, 130.0, 4)
+SPEEDS = np.array([40.0, 130.0])
 
 
 def rig(elements: int, bearing_nodes: list[int], disc_nodes: list[int]) -> RotorModel:
@@ -24,6 +26,12 @@ def rig(elements: int, bearing_nodes: list[int], disc_nodes: list[int]) -> Rotor
     shaft = [{"length": LENGTH, "outer_diameter": 0.01, "inner_diameter": 0.0, "elements": elements}]
     config = {"material": STEEL, "shaft": shaft, "discs": discs, "bearing_nodes": bearing_nodes, "shear_effects": True}
     return load_rotor(RotorConfig.model_validate(config))
+
+
+@cache
+def fine_response(place: int) -> np.ndarray:
+    """(S, n) of elements of 2 mm, with the second bearing at node ``place``."""
+    return respond(rig(280, [20, place], [80, 200]), 80)
 
 
 def respond(rotor: RotorModel, disc: int) -> np.ndarray:
@@ -36,10 +44,8 @@ def respond(rotor: RotorModel, disc: int) -> np.ndarray:
 @pytest.mark.parametrize(("shift", "tolerance"), [(20.0, 1e-5), (-40.0, 1e-5), (-10.0, 3e-3), (34.0, 3e-3)])
 def test_a_moved_bearing_is_one_of_a_mesh_with_a_node_there(shift: float, tolerance: float) -> None:
     """Elements of 20 mm; between nodes the shaft is stiffer under the load by what one element gives, a thousandth."""
-    coarse, factor = rig(28, [2, 26], [8, 20]), 10
-    places = [2 * factor, 26 * factor + round(shift / 2)]
-    fine = respond(rig(28 * factor, places, [8 * factor, 20 * factor]), 8 * factor)
-    expected = fine.reshape(len(SPEEDS), -1, 4)[:, ::factor, :2]
+    coarse = rig(28, [2, 26], [8, 20])
+    expected = fine_response(260 + round(shift / 2)).reshape(len(SPEEDS), -1, 4)[:, ::10, :2]
     found = respond(move_bearing(coarse, 1, shift / 1e3), 8).reshape(len(SPEEDS), -1, 4)[..., :2]
     stated = respond(coarse, 8).reshape(len(SPEEDS), -1, 4)[..., :2]
     size = np.abs(expected).max()
@@ -50,9 +56,8 @@ def test_a_moved_bearing_is_one_of_a_mesh_with_a_node_there(shift: float, tolera
 @pytest.mark.parametrize("shift", [-38.0, -6.0, 10.0, 40.0])
 def test_a_probe_between_nodes_shows_what_a_node_there_moves(shift: float) -> None:
     """A straight line along the tangent is off by up to 3 %."""
-    coarse, factor = rig(28, [2, 26], [8, 20]), 10
-    fine = respond(rig(28 * factor, [2 * factor, 26 * factor], [8 * factor, 20 * factor]), 8 * factor)
-    place = 4 * (14 * factor + round(shift / 2))
+    coarse, fine = rig(28, [2, 26], [8, 20]), fine_response(260)
+    place = 4 * (140 + round(shift / 2))
     shown = respond(coarse, 8) @ shaft_rows(coarse, 14, shift / 1e3).T
     assert np.abs(shown - fine[:, place : place + 2]).max() <= 1e-5 * np.abs(fine).max()
 

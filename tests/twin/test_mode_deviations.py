@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-import ross as rs
 from conftest import Machine
 
 from pipeline.data.dataset import Excitation, VibrationDataset
@@ -19,6 +18,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
+from pipeline.rotor.ross_adapter import ross
 from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eigenvalues, derive_place, deviate
 from pipeline.twin.modes import (
     WhirlModes,
@@ -30,6 +30,8 @@ from pipeline.twin.modes import (
     read_modes,
     require_separation,
 )
+
+RS = ross()
 
 
 def derive(rotor: RotorModel, bearings: BearingTable, s: int, changes: list[RotorModel | None]) -> tuple:
@@ -287,11 +289,11 @@ def test_a_stable_machine_whose_margin_may_be_zero_is_stable_as_identified(devia
 @pytest.mark.parametrize("rpm", [0, 3000])
 def test_responses_alone_show_the_decrements_of_ross(rpm: int) -> None:
     """Pushed at a disc, by ROSS's matrices with 1 % of noise, against its modes; those of the model are off by half."""
-    steel, speed = rs.Material("steel", rho=7810, E=211e9, G_s=81.2e9), rpm * np.pi / 30
+    steel, speed = RS.Material("steel", rho=7810, E=211e9, G_s=81.2e9), rpm * np.pi / 30
     generator = np.random.default_rng(2)
-    standing = [rs.BearingElement(n, kxx=2e7, kyy=3e7, cxx=3e4, cyy=4e4) for n in (1, 4)]
-    shaft = [rs.ShaftElement(0.3, 0.0, 0.05, material=steel) for _ in range(4)]
-    rotor = rs.Rotor(shaft, [rs.DiskElement.from_geometry(2, steel, 0.05, 0.05, 0.26)], standing)
+    standing = [RS.BearingElement(n, kxx=2e7, kyy=3e7, cxx=3e4, cyy=4e4) for n in (1, 4)]
+    shaft = [RS.ShaftElement(0.3, 0.0, 0.05, material=steel) for _ in range(4)]
+    rotor = RS.Rotor(shaft, [RS.DiskElement.from_geometry(2, steel, 0.05, 0.05, 0.26)], standing)
     modal = rotor.run_modal(speed, num_modes=24)
     order = np.argsort(modal.wd)[:2]
     wd, real = modal.wd[order], modal.log_dec[order]

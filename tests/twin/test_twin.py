@@ -57,7 +57,7 @@ def test_modes_equal_those_of_the_dense_pencil(name: str, request: pytest.Fixtur
 def test_modes_equal_those_of_ross(name: str, request: pytest.FixtureRequest) -> None:
     """Oracle: ROSS ``run_modal`` (wd, logarithmic decrements), which has axial and torsional modes as well.
 
-    The 6 lowest of ours; the first call in a process takes seconds of compilation.
+    The 6 lowest of ours.
     """
     machine = request.getfixturevalue(name)
     s = 12
