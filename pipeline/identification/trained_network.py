@@ -156,6 +156,7 @@ def train_from_nodes(
     between: float = 0.01,
     steep: float = 3.0,
     still: float = 3e-4,
+    exact: float = 0.8,
     patience: int = 5,
 ) -> OutputErrorFit:
     """The fit of networks that start at a fit of values at nodes, with its precisions of the readings.
@@ -170,6 +171,9 @@ def train_from_nodes(
             stopped at twice the chi-square of the nodes. Units twice as steep follow the noise between nodes.
         still: training ends where ``patience`` steps lower the loss by less than this share, which is about one of
             chi-square: far less than what the readings leave open.
+        exact: a loss of the nodes below it is one of readings more exact than their noise is taken for (simulated
+            without any). One of chi-square is a larger share of it, by the square; by the share alone training went on
+            to the last of 400 steps.
     """
     import torch
 
@@ -183,9 +187,12 @@ def train_from_nodes(
     )
     n_of_networks = start.shape[-1] - rest.shape[-1]
     inputs, known = model.scaled_inputs(problem.measurement.dataset.points), _hold(start[0, 0], n_of_networks, hold)
-    functions = hold_between(problem.functions, spline.n_functions, points_a_node, between)
-    training = pose_networks(replace(problem, functions=functions), model, known, inputs, over)
-    minimum = minimise(training, start, setup.ending(patience, still), progress=progress)
+    training = pose_networks(
+        replace(problem, functions=hold_between(problem.functions, spline.n_functions, points_a_node, between)),
+        *(model, known, inputs, over),
+    )
+    share = still * max(1.0, exact / float(problem.loss(fit.weights))) ** 2
+    minimum = minimise(training, start, setup.ending(patience, share), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
     weights = fit.weights.clone()
     weights[..., : problem.places.n_coefficients] = 0.0  # deviations from the networks
