@@ -193,15 +193,15 @@ def gather_readings(measurement: Measurement) -> Readings:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Runs of a block that see the same bearings."""
+    """Runs of a block on their bearings, V of them: one a speed, or one a run and speed."""
 
     block: ResponseBlock  # at the model parameters
     variation: ResponseBlock | None  # its derivatives by them; None without any
-    change: torch.Tensor  # dH, (G, S, 2 B, 2 B) N/m
-    factor: torch.Tensor  # (G, B) what these runs' bearings are scaled by
-    eight: torch.Tensor  # (G, S, B, 8) coefficients before that
-    scale: torch.Tensor  # (B, T) derivative of the factor
-    known: torch.Tensor  # (G, S or 1, 8 B, T) derivative of what softens in these runs
+    change: torch.Tensor  # dH, (G, V, 2 B, 2 B) N/m
+    factor: torch.Tensor  # (G, V, B) what these runs' bearings are scaled by
+    eight: torch.Tensor  # (G, V, B, 8) coefficients before that
+    scale: torch.Tensor  # (V, B, T) derivative of the factor
+    known: torch.Tensor  # (G, V or 1, 8 B, T) derivative of what softens in these runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,10 +262,10 @@ class SensorModel:
 
     @cached_property
     def _spread(self) -> torch.Tensor:
-        """(T,) one for what acts by the rotor's matrices, zero for what acts where bearings and casings stand alone."""
+        """(T,) bool, what acts by the rotor's matrices, not where bearings and casings stand alone."""
         import torch
 
-        return torch.tensor([not p.row.local for p in self.measurement.parameters], dtype=torch.float64)
+        return torch.tensor([not p.row.local for p in self.measurement.parameters], dtype=torch.bool)
 
     def _step(self, parameters: torch.Tensor) -> torch.Tensor:
         """(G, T) by how many deviations each number is off: supports grow with the exponential of their parameter."""
@@ -275,11 +275,29 @@ class SensorModel:
         return torch.where(self._growth > 0, (parameters * self._growth).expm1() / growth, parameters)
 
     @cached_property
-    def _variations(self) -> tuple[ResponseBlock, ...]:
-        """The blocks' derivatives by the model parameters; none where there are none."""
+    def _placed(self) -> tuple[tuple[ResponseBlock, ...], ...]:
+        """Of each block the groups of runs that are solved at once."""
+        return tuple(map(self._group, self.blocks))
+
+    @cached_property
+    def _variations(self) -> tuple[tuple[ResponseBlock, ...], ...]:
+        """Their derivatives by the model parameters that :attr:`_spread`; none where there are none."""
         import torch
 
-        return tuple(block.converted(torch.as_tensor) for block in self.whole.variations)
+        def spread(array: np.ndarray) -> torch.Tensor:
+            every = torch.as_tensor(array)
+            return every[self._spread] if every.ndim > 1 else every  # frequencies are the same for all
+
+        return tuple(self._group(block.converted(spread)) for block in self.whole.variations)
+
+    def _group(self, block: ResponseBlock, most: int = 1000) -> tuple[ResponseBlock, ...]:
+        """The block, or where bearings or the base differ between runs, some of these at a time, one after the other
+        as speeds of a single run, ``most`` speeds or so: more take memory, and less take time.
+        """
+        if not (len(self._softening[2]) or self._drift.any()):
+            return (block,)
+        size = max(1, most // len(self._known))
+        return tuple(_line_up(block.of_runs(slice(i, i + size))) for i in range(0, len(block.runs), size))
 
     @cached_property
     def _softening(self) -> tuple[torch.Tensor, ...]:
@@ -290,52 +308,49 @@ class SensorModel:
         stated, growth, fall = map(torch.as_tensor, every)
         return stated.flatten(), growth.flatten(0, 1), fall.flatten(2, 3)
 
-    def _soften(self, parameters: torch.Tensor, fall: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(G, S, 8 B) N/m that the ``fall`` (S, 8 B, T) of one run changes, and its derivatives (G, S, 8 B, T)."""
-        stated, growth, _ = self._softening
+    def _soften(self, parameters: torch.Tensor, runs: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """(G, V, 8 B) N/m that changes in the ``runs``, and its derivatives (G, V, 8 B, T); V is 1 if nothing does."""
+        import torch
+
+        stated, growth, falls = self._softening
+        fall = falls[runs].flatten(0, 1) if len(falls) else torch.zeros_like(growth)[None]
         held = (stated * (parameters @ growth.T).exp())[:, None]
         change = held * (-(fall @ parameters[:, None, :, None])[..., 0]).expm1()
         return change, change[..., None] * growth - (held + change)[..., None] * fall
 
     @cached_property
     def _drift(self) -> torch.Tensor:
-        """(R, B, T) how model parameters scale each bearing in each run; empty where no run has bearings or a base of
-        its own.
-        """
+        """(R, B, T) how model parameters scale each bearing in each run."""
         import torch
 
-        scales = drift_scales(self.measurement.parameters, self.whole.dataset.runs, len(self._influence) // 8)
-        return torch.as_tensor(scales if scales.any() or len(self._softening[2]) else scales[:0])
+        return torch.as_tensor(
+            drift_scales(self.measurement.parameters, self.whole.dataset.runs, len(self._influence) // 8)
+        )
 
     def _place(
         self, b: int, values: torch.Tensor, parameters: torch.Tensor, derivative: bool = True
     ) -> Iterator[_Placed]:
-        """Block b at the model parameters: whole, or run by run where bearings or the base differ between the runs; its
-        derivatives by them, which take long, where they are asked for or the parameters are not those it was solved at.
+        """The groups of block b at the model parameters; their derivatives by them, which take long, where they are
+        asked for or the parameters are not those that the rotor was solved at.
         """
         import torch
 
-        shift = (parameters - self.solved_at) * self._spread
+        shift = (parameters - self.solved_at)[:, self._spread]
+        shifted = shift.requires_grad or bool(shift.any())
         steps = self._step(parameters) - self._step(self.solved_at)
         known = self._known + (self._known_slopes[b] @ steps[:, None, :, None])[..., 0]
-        eight = (values @ self._influence.T + known).unflatten(-1, (-1, 8))  # (G, S, B, 8)
-        scales = torch.zeros(eight.shape[2], len(self.solved_at), dtype=torch.float64)
-        references = torch.as_tensor(self.whole.response.references)
-        whole, shifted = self.blocks[b], shift.requires_grad or bool(shift.any())
-        variation = self._variations[b] if (derivative or shifted) and self._variations else None
-        varied = whole if variation is None or not shifted else whole.vary(variation, shift)
-        nothing = torch.zeros(1, *self._softening[1].shape, dtype=torch.float64)
-        parts = [(varied, variation, scales, nothing)]
-        if len(self._drift):
-            falls = self._softening[2] if len(self._softening[2]) else nothing.expand(len(self._drift), -1, -1, -1)
-            every = [(slice(i, i + 1), self._drift[r], falls[r]) for i, r in enumerate(whole.runs)]
-            parts = [(varied.of_runs(i), variation and variation.of_runs(i), scale, fall) for i, scale, fall in every]
-        for block, variation, scale, fall in parts:
-            factor = 1 + parameters @ scale.mT  # (G, B)
-            softer, known = self._soften(parameters, fall)
-            held = eight + softer.unflatten(-1, (-1, 8))
-            change = impedance_change(held * factor[:, None, :, None], block.frequencies, references)
-            yield _Placed(block, variation, change, factor, held, scale, known)
+        whole, references = values @ self._influence.T + known, torch.as_tensor(self.whole.response.references)
+        nothing = (None,) * len(self._placed[b])
+        varied = self._variations[b] if (derivative or shifted) and self._variations else nothing
+        for block, variation in zip(self._placed[b], varied, strict=True):
+            count = len(block.frequencies) // len(self._known)  # of runs that stand apart, 1 if none do
+            softer, softer_slopes = self._soften(parameters, block.runs)
+            held = (whole.repeat(1, count, 1) + softer).unflatten(-1, (-1, 8))
+            scale = self._drift[block.runs[:count]].repeat_interleave(len(self._known), dim=0)
+            factor = 1 + (scale @ parameters[:, None, :, None])[..., 0]
+            change = impedance_change(held * factor[..., None], block.frequencies, references)
+            block = block.vary(variation, shift) if shifted and variation else block
+            yield _Placed(block, variation, change, factor, held, scale, softer_slopes)
 
     def predict(self, values: torch.Tensor, unbalance: torch.Tensor, parameters: torch.Tensor) -> list[torch.Tensor]:
         """(G, S, P, R) m of every block.
@@ -345,16 +360,18 @@ class SensorModel:
             unbalance: (G, N) complex, kg m.
             parameters: (G, T) in prior deviations.
         """
-        import torch
-
         every = [
             [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters, False)]
             for b in range(len(self.blocks))
         ]
-        return [self._join(b, torch.cat(parts, dim=3)) for b, parts in enumerate(every)]
+        return [self._join(b, groups) for b, groups in enumerate(every)]
 
-    def _join(self, b: int, shown: torch.Tensor) -> torch.Tensor:
-        """(G, S, P, R, ..) of block b, from the same of its runs and of the baseline that is taken off them."""
+    def _join(self, b: int, groups: Sequence[torch.Tensor]) -> torch.Tensor:
+        """(G, S, P, R, ..) of block b, from the same of its groups, without the baseline that is taken off."""
+        import torch
+
+        size = len(self._known)
+        shown = torch.cat([each.unflatten(1, (-1, size)).movedim(1, 3).flatten(3, 4) for each in groups], dim=3)
         if self.whole.dataset.runs[self.blocks[b].runs[-1]] != BASELINE:
             return shown
         return shown[:, :, :, :-1] - shown[:, :, :, -1:]
@@ -370,26 +387,23 @@ class SensorModel:
         """Readings of block b, and their derivatives (G, S, P, R, ..) by what :meth:`predict` takes: A unknowns, or n
         numbers by which these have ``slopes`` (G, S, A, n); N planes (by 1 kg m); T model parameters.
         """
-        import torch
-
         known = self._known_slopes[b] * (parameters * self._growth).exp()[:, None, None]  # (G, S, 8 B, T)
         influence = self._influence.expand(*known.shape[:3], -1)
         moves = influence if slopes is None else self._influence @ slopes  # (G, S, 8 B, n)
         every = [self._derive(placed, unbalance, moves, known) for placed in self._place(b, values, parameters)]
-        readings, by_numbers, by_planes, by_parameters = (
-            self._join(b, torch.cat(parts, dim=3)) for parts in zip(*every, strict=True)
-        )
+        readings, by_numbers, by_planes, by_parameters = (self._join(b, groups) for groups in zip(*every, strict=True))
         return readings, by_numbers, by_planes, by_parameters
 
     def _derive(
         self, placed: _Placed, unbalance: torch.Tensor, moves: torch.Tensor, known: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
-        """As :meth:`derive`, of a part of a block."""
+        """As :meth:`derive`, of a group of runs."""
         import torch
 
-        response = respond(placed.block, placed.change, unbalance)
-        factor = placed.factor.repeat_interleave(8, dim=1)[:, None, :, None]
-        by_scale = placed.eight.flatten(2)[..., None] * placed.scale.repeat_interleave(8, dim=0)
+        response, count = respond(placed.block, placed.change, unbalance), len(placed.scale) // moves.shape[1]
+        moves, known = (by.repeat(1, count, 1, 1) for by in (moves, known))
+        factor = placed.factor.repeat_interleave(8, dim=2)[..., None]
+        by_scale = placed.eight.flatten(2)[..., None] * placed.scale.repeat_interleave(8, dim=1)
         every = torch.cat([moves * factor, (known + placed.known) * factor + by_scale], dim=-1)
         by_numbers, by_parameters = derive(placed.block, response, every).split(
             [moves.shape[-1], known.shape[-1]], dim=-1
@@ -399,8 +413,30 @@ class SensorModel:
             by_planes = response.unit_sensors[:, :, :, None, :].expand(by_planes.shape)
         if placed.variation is not None:
             by_model = derive_by_parameters(placed.variation, response, placed.change, unbalance)
-            by_parameters = by_model * self._spread + by_parameters
+            by_parameters = by_parameters.index_add(-1, self._spread.nonzero()[:, 0], by_model)
         return response.sensors, by_numbers, by_planes, by_parameters
+
+
+def _line_up(block: ResponseBlock) -> ResponseBlock:
+    """The block with its runs one after the other, as speeds of a single run."""
+    count = len(block.runs)
+
+    def turn(forced: torch.Tensor) -> torch.Tensor:
+        return forced.movedim(-1, -3).flatten(-3, -2)[..., None]
+
+    def repeat(array: torch.Tensor) -> torch.Tensor:
+        return array.repeat(*[1] * (array.ndim - 3), count, 1, 1)
+
+    return ResponseBlock(
+        runs=block.runs,
+        frequencies=block.frequencies.repeat(count),
+        forced_sensors=turn(block.forced_sensors),
+        forced_bearings=turn(block.forced_bearings),
+        receptance_sensors=repeat(block.receptance_sensors),
+        receptance_bearings=repeat(block.receptance_bearings),
+        unit_sensors=repeat(block.unit_sensors),
+        unit_bearings=repeat(block.unit_bearings),
+    )
 
 
 def sensor_model(measurement: Measurement) -> SensorModel:

@@ -96,16 +96,22 @@ def search(
     return _add_middles(problem, replace(whitened.at(likely), problem=problem.scaled(precision)), y[likely], precision)
 
 
-def _add_middles(problem: OutputError, whitened: Whitened, y: torch.Tensor, precision: float) -> Searched:
-    """What is searched, from the likely peaks ``y``, with the middles of their posteriors behind them."""
+def _add_middles(
+    problem: OutputError, whitened: Whitened, y: torch.Tensor, precision: float, least: float = 0.05
+) -> Searched:
+    """What is searched, from the likely peaks ``y``, with the middles of their posteriors behind them: of choices whose
+    share of the evidence is at ``least`` that.
+    """
     import torch
 
-    each = [replace(whitened, choices=whitened.choices.select([g])) for g in range(len(y))]
-    middles = torch.cat([find_middle(alone, peak[None]) for alone, peak in zip(each, y, strict=True)])
     by_choice = whitened.evidence(y).softmax(0)
-    within = (whitened.evidence(middles, counted=1.0) - whitened.evidence(y, counted=1.0)).sigmoid()
-    shares = torch.cat([by_choice * (1 - within), by_choice * within])
-    whitened = replace(whitened, choices=whitened.choices.join(whitened.choices))
+    counted = (by_choice >= least).nonzero()[:, 0]
+    middles = torch.cat([find_middle(whitened.at(g), y[g]) for g in counted[:, None]])
+    each = whitened.at(counted)
+    within = (each.evidence(middles, counted=1.0) - each.evidence(y[counted], counted=1.0)).sigmoid()
+    of_middles = by_choice[counted] * within
+    shares = torch.cat([by_choice.index_add(0, counted, -of_middles), of_middles])
+    whitened = replace(whitened, choices=whitened.choices.join(each.choices))
     y = torch.cat([y, middles])
     root = whitened.carry(torch.eye(problem.places.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
     covariance = root @ torch.linalg.inv(whitened.normal(y)[1][:, 0]) @ root.mT

@@ -9,7 +9,8 @@ What the network is off by is told by the same functions of the nodes, about the
 are those of the one covariance.
 
 Legend: G networks, M members (bearings, or 1 where they share their coefficients), Q parameters of a member, S speeds,
-A unknowns that members have, K nodes, F features, N balance planes, T model parameters, Y = M Q + 2 N + T numbers.
+A unknowns that members have, K nodes, L points, F features, N balance planes, T model parameters, Y = M Q + 2 N + T
+numbers.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ class TrainedNetworks(OutputError):
 
     inputs: torch.Tensor  # (S, 1), scaled
     known: Prior  # of the numbers
-    nodes: torch.Tensor  # (K, 1) scaled inputs at which the prior of functions holds, if there is one
+    points: torch.Tensor  # (L, 1) scaled inputs: the nodes, at which the prior of functions holds, and some between
+    between: torch.Tensor  # (L, L) rows of an output's values there that are zero with unit variance
+    nodes: slice  # which of the points they are
     carried: ClassVar = ("gsamq", "mq")  # every output may have all parameters of its member
 
     @cached_property
@@ -88,8 +91,10 @@ class TrainedNetworks(OutputError):
         """Gradient (G, 1, Y) and information (G, 1, Y, Y)."""
         import torch
 
-        (gradient, matrix), slopes = super().normal(weights), self._slopes(weights, self.nodes)
-        by_networks = self.functions.rows @ slopes.flatten(-2).movedim(1, 2).flatten(1, 2)
+        (gradient, matrix), slopes = super().normal(weights), self._slopes(weights, self.points)
+        slopes = slopes.flatten(-2).movedim(1, 2)  # (G, A, L, M Q)
+        at_nodes, between = self.functions.rows @ slopes[:, :, self.nodes].flatten(1, 2), self.between @ slopes
+        by_networks = torch.cat([at_nodes, between.flatten(1, 2)], dim=1)
         slope = torch.nn.functional.pad(by_networks, (0, self.places.n_rest))
         return gradient + self.deviate(weights)[:, None] @ slope, matrix + (slope.mT @ slope)[:, None]
 
@@ -112,12 +117,13 @@ class TrainedNetworks(OutputError):
         return slopes
 
     def deviate(self, weights: torch.Tensor) -> torch.Tensor:
-        """(G, N) of the networks' values at the nodes from the prior of functions."""
+        """(G, N + A L) of the networks' values at the nodes from the prior of functions, and of those between."""
         import torch
 
-        values = self.basis.model.raw(self.networks(weights), self.nodes)  # (G, M, K, U)
-        every = torch.stack([values[:, m, :, u] for m, u in self.active], dim=1).flatten(1)
-        return self.functions.deviations(every)
+        values = self.basis.model.raw(self.networks(weights), self.points)  # (G, M, L, U)
+        every = torch.stack([values[:, m, :, u] for m, u in self.active], dim=1)
+        at_nodes = self.functions.deviations(every[..., self.nodes].flatten(1))
+        return torch.cat([at_nodes, (every @ self.between.mT).flatten(1)], dim=1)
 
     def networks(self, numbers: torch.Tensor) -> torch.Tensor:
         """(G, M, Q) parameters of the coefficient model."""
@@ -131,16 +137,23 @@ class TrainedNetworks(OutputError):
 
 
 def pose_networks(
-    problem: OutputError, model: CoefficientModel, known: Prior, inputs: torch.Tensor, nodes: torch.Tensor
+    problem: OutputError,
+    model: CoefficientModel,
+    known: Prior,
+    inputs: torch.Tensor,
+    points: torch.Tensor,
+    between: torch.Tensor | None = None,
+    points_a_node: int = 1,
 ) -> TrainedNetworks:
     """The ``problem`` with networks in place of functions, whose parameters are all fitted; what is given besides is as
-    in :class:`TrainedNetworks`."""
+    in :class:`TrainedNetworks`: ``points`` are the nodes, if nothing is known ``between`` them."""
     import torch
 
     same = {entry.name: getattr(problem, entry.name) for entry in fields(OutputError)}
     same["basis"] = replace(problem.basis, model=model)
     same["kept"] = torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
-    return TrainedNetworks(**same, known=known, inputs=inputs, nodes=nodes)
+    between, nodes = points.new_zeros(0, len(points)) if between is None else between, slice(None, None, points_a_node)
+    return TrainedNetworks(**same, known=known, inputs=inputs, points=points, between=between, nodes=nodes)
 
 
 # --- from an answer at nodes -----------------------------------------------------------------------------
@@ -187,10 +200,8 @@ def train_from_nodes(
     )
     n_of_networks = start.shape[-1] - rest.shape[-1]
     inputs, known = model.scaled_inputs(problem.measurement.dataset.points), _hold(start[0, 0], n_of_networks, hold)
-    training = pose_networks(
-        replace(problem, functions=hold_between(problem.functions, spline.n_functions, points_a_node, between)),
-        *(model, known, inputs, over),
-    )
+    held = hold_between(spline.n_functions, points_a_node, between)
+    training = pose_networks(problem, model, known, inputs, over, held, points_a_node)
     share = still * max(1.0, exact / float(problem.loss(fit.weights))) ** 2
     minimum = minimise(training, start, setup.ending(patience, share), progress=progress)
     basis = _about(replace(spline, **setup.model.network), training.networks(minimum.parameters)[0])
@@ -206,17 +217,14 @@ def train_from_nodes(
     )
 
 
-def hold_between(functions: Prior, count: int, points_a_node: int, deviation: float) -> Prior:
-    """The prior of values at ``count`` nodes as one of values at so many places a node, which deviate from the spline
-    through those at the nodes."""
+def hold_between(count: int, points_a_node: int, deviation: float) -> torch.Tensor:
+    """(L, L) how values at so many points a node deviate from the spline through those at the ``count`` nodes."""
     import torch
 
-    places = _spread(points_a_node * (count - 1) + 1)
-    every = torch.eye(len(places), dtype=places.dtype)
-    off = every - torch.as_tensor(evaluate_functions("nodes", count, places[:, 0].numpy())) @ every[::points_a_node]
-    outputs = torch.eye(functions.rows.shape[1] // count, dtype=places.dtype)
-    rows = [functions.rows @ torch.kron(outputs, every[::points_a_node]), torch.kron(outputs, off / deviation)]
-    return Prior(torch.cat(rows), torch.nn.functional.pad(functions.aims, (0, len(rows[1]))))
+    points = _spread(points_a_node * (count - 1) + 1)
+    every = torch.eye(len(points), dtype=points.dtype)
+    spline = torch.as_tensor(evaluate_functions("nodes", count, points[:, 0].numpy()))
+    return (every - spline @ every[::points_a_node]) / deviation
 
 
 def _spread(count: int) -> torch.Tensor:

@@ -70,8 +70,9 @@ def test_the_normal_equations_are_those_of_automatic_differentiation(drawn: Outp
     size = 2 * model.n_parameters + 2 * fitted.places.n_planes + 1
     known = Prior(torch.eye(size, dtype=torch.float64)[-1:], torch.tensor([[0.3], [-0.3]], dtype=torch.float64))
     rows = torch.randn(5, 3 * len(fitted.active), generator=generator, dtype=torch.float64)
-    functions, nodes = Prior(rows, rows[:, 0]), torch.linspace(-1, 1, 3, dtype=torch.float64)[:, None]
-    problem = pose_networks(replace(weighed, functions=functions), model, known, inputs, nodes)
+    functions, points = Prior(rows, rows[:, 0]), torch.linspace(-1, 1, 5, dtype=torch.float64)[:, None]
+    posed, between = replace(weighed, functions=functions), hold_between(3, 2, 0.1)
+    problem = pose_networks(posed, model, known, inputs, points, between, points_a_node=2)
     numbers = 0.1 * torch.randn(2, 1, size, generator=generator, dtype=torch.float64)
     gradient, matrix = problem.normal(numbers)
     whole = torch.autograd.functional.jacobian(problem.rows, numbers, vectorize=True)
@@ -170,13 +171,12 @@ def test_a_network_starts_where_the_nodes_are(family: str) -> None:
 
 
 def test_between_the_nodes_networks_are_held_to_the_spline() -> None:
-    """On it the prior is that of the nodes; a value beside it deviates by what is allowed, in units of that."""
+    """On it nothing deviates; a value beside it does by what is allowed, in units of that."""
     import torch
 
-    rng = np.random.default_rng(0)
-    prior, nodes = Prior(*map(torch.as_tensor, (rng.standard_normal((3, 10)), np.ones(3)))), rng.standard_normal((2, 5))
+    nodes = np.random.default_rng(0).standard_normal((2, 5))
     values = torch.as_tensor(CubicSpline(np.linspace(-1, 1, 5), nodes, axis=1)(np.linspace(-1, 1, 17)))
-    held, at_nodes = hold_between(prior, 5, 4, 0.01), prior.deviations(torch.as_tensor(nodes).flatten())
-    assert torch.allclose(held.deviations(values.flatten()), torch.nn.functional.pad(at_nodes, (0, 34)))
+    held = hold_between(5, 4, 0.01)
+    assert torch.allclose(values @ held.mT, torch.zeros_like(values), atol=1e-11)
     values[1, 6] += 0.01
-    assert float(held.deviations(values.flatten())[3 + 17 + 6]) == pytest.approx(1.0)
+    assert float((values @ held.mT)[1, 6]) == pytest.approx(1.0)
