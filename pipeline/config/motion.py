@@ -69,6 +69,14 @@ def _find_sensitivity(scale: str) -> tuple[int, float]:
     raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
 
 
+def find_floor(value: Any) -> tuple[int, float]:
+    """Order k, and size in m/s^k, of a noise floor such as ``0.1 m/s^2``. Raises ValueError."""
+    floor = None if is_number(str(value)) else _find_order(str(value), _SI)
+    if not floor or floor[1] < 0:
+        raise ValueError(f"must be a size in the probe's own quantity (such as 0.1 m/s^2 or 2 um), but got {value!r}")
+    return floor
+
+
 def _check_scale(value: Any) -> str:
     if not isinstance(value, str) or is_number(value):
         raise ValueError(f"must carry its unit (such as {_SCALES}), but got {value!r}")
@@ -96,6 +104,8 @@ VelocityUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "
 AccelerationUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "acceleration"))]
 VoltageUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "voltage"))]
 SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "signal_unit"))]
+Floor = Annotated[str, BeforeValidator(lambda value: find_floor(value) and value)]
+"""Noise that is constant in what a probe measures."""
 Sensitivity = Annotated[str, BeforeValidator(_check_scale)]
 """A probe of voltages has it; negative where the voltage falls when the shaft comes nearer."""
 
@@ -125,6 +135,7 @@ class MotionConfig(Section):
                 "place, but is missing"
             )
         if len(given) > 1:
-            text = " and ".join(given)
-            raise ValueError(f"must be the one unit of the amplitudes, but got {text}: leave out all but one")
+            raise ValueError(
+                f"must be the one unit of the amplitudes, but got {' and '.join(given)}: leave out all but one"
+            )
         return value

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.quantities import Length, PositiveAngle
+from pipeline.config.quantities import Acceleration, Length, PositiveAngle
 from pipeline.data.dataset import VibrationDataset, project_direction
-from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Place, PositiveShare, require_on_shaft
+from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Place, PositiveShare, require_on_shaft, turns_with_rotor
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel
 
@@ -51,13 +51,20 @@ def sensor_change(
     return change
 
 
-def runout(parameters: Sequence[ModelParameter], n_channels: int) -> np.ndarray:
-    """(P,) m that each channel shows of the shaft's surface at the values of the parameters."""
-    shown = np.zeros(n_channels, dtype=complex)
+def runout(parameters: Sequence[ModelParameter], dataset: VibrationDataset) -> np.ndarray:
+    """(S, P, R) m that each channel shows beside the motion, at the values of the parameters: of the shaft's surface,
+    or a constant acceleration a, a / (j w)^2, in the runs that turn with the rotor.
+    """
+    shown = np.zeros(dataset.displacement.shape, dtype=complex)
     for parameter in parameters:
-        if parameter.kind == "runout":
-            shown[parameter.place] += parameter.shift * PARTS[parameter.detail]
+        if parameter.kind in _ORDERS:
+            vector = parameter.shift * PARTS[parameter.detail] * turns_with_rotor(dataset)
+            shown[:, parameter.place] += vector / (1j * dataset.frequencies) ** _ORDERS[parameter.kind]
     return shown
+
+
+_ORDERS = {"runout": 0, "pickup": 2}
+"""Kinds of vectors that are no motion of the probe: constant in this derivative of the displacement."""
 
 
 def _probe(parameters: Sequence[ModelParameter], channel: int) -> dict[str, float]:
@@ -127,6 +134,20 @@ KINDS = (
         missing=UNSHOWN,
         unit="m",
         shown=("um", 1e6),
+        scope="runs",
+    ),
+    Kind(
+        name="pickup",
+        prior=Acceleration,
+        meaning="of a 1X vector of probes on casings that no motion causes, constant as acceleration; both parts",
+        places=lambda machine: [
+            Place(f"{probe.label} {component}", probe.place, component)
+            for probe in machine.probes
+            for component in PARTS
+            if probe not in machine.probes_on_shaft and machine.shows_bow
+        ],
+        missing="probes on casings in runs that turn with the rotor and that no baseline was subtracted from",
+        unit="m/s^2",
         scope="runs",
     ),
 )

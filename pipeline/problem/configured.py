@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.measured import AS_MODELLED, KnownConfig
+from pipeline.config.motion import find_floor
 from pipeline.config.runs import find_frequencies
 from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
@@ -183,7 +184,12 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
             f"records, but got {noise.record:g}: leave out data.baseline (identify.unbalance_planes), or record"
         )
     laws = config.machine.laws
-    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record), NO_LEVELS
+    floors = {
+        name_channel(place_probe(rotor, f"machine.recordings.probes.{name}", probe), probe.angle): probe.floor
+        for name, probe in config.machine.recordings.probes.items()
+    }
+    own = tuple(find_floor(floors.get((node, round(angle, 9)), "0 um")) for node, angle in dataset.channels)
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record, own), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
         if suffices(conditions):

@@ -19,7 +19,6 @@ from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.parameters.bearings import known_variation
 from pipeline.parameters.geometry import bow_force
-from pipeline.parameters.kind import turns_with_rotor
 from pipeline.parameters.model import ModelParameter, set_values, update_rotor
 from pipeline.parameters.probes import runout, sensor_matrix
 from pipeline.parameters.weights import update_excitations
@@ -151,12 +150,12 @@ class Measurement:
         """
         if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
-        size, stated = self.noise.deviation(displacement, np.asarray(baseline)), self.dataset.noise
+        own, stated = self.noise.own_floor(self.dataset.frequencies[:, runs]), self.dataset.noise
+        size = self.noise.deviation(displacement, np.asarray(baseline), own)
         if stated.any():
             size = np.where(stated[..., runs] > 0, stated[..., runs], size)
         size = size * np.asarray(factor)[..., None]
-        record = 0.0 if alone else self.noise.record
-        return np.asarray(np.maximum(np.hypot(size, record * np.abs(displacement)), least))
+        return np.asarray(np.maximum(np.hypot(size, (not alone) * self.noise.record * np.abs(displacement)), least))
 
     @cached_property
     def equations(self) -> BearingEquations:
@@ -174,8 +173,7 @@ class Measurement:
         rotor, parameters, data = self.updated_rotor, self.parameters, update_excitations(self.dataset, self.parameters)
         sensors, bow = sensor_matrix(data, rotor, parameters), bow_force(parameters, self.rotor)
         solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
-        shown = runout(parameters, len(data.channels))
-        return solved.shifted(shown[:, None] * turns_with_rotor(data))
+        return solved.shifted(runout(parameters, data))
 
     @cached_property
     def variations(self) -> tuple[ResponseBlock, ...]:
@@ -242,8 +240,7 @@ class Measurement:
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            solved = replace(self.response, planes=())
-            return replace(self, unknowns=unknowns, parameters=(), solved=solved)
+            return replace(self, unknowns=unknowns, parameters=(), solved=replace(self.response, planes=()))
         every, seen = np.arange(len(data.runs)), data.present[:, turning]
         first = turning[seen.argmax(axis=1)]  # (S,)
         turns = np.isin(every, turning) & (seen.sum(axis=1, keepdims=True) > 1)  # (S, R)

@@ -173,8 +173,8 @@ def response_variations(
             if (seen := sensor_change(parameter, dataset, updated, parameters)) is not None:
                 variation[:, count:] += seen @ solved
             # What the sensors show besides is none of the rotor's.
-            if (vector := runout([replace(parameter, value=1.0)], len(dataset.channels))).any():
-                variation[:, count:, forced] += vector[:, None] * turns[runs]
+            if (vector := runout([replace(parameter, value=1.0)], data)).any():
+                variation[:, count:, forced] += vector[..., runs]
             changes.append(variation)
         every = np.stack(changes)
         blocks.append(_split(runs, w, n_planes, every[:, :, :count], every[:, :, count:]))

@@ -241,8 +241,8 @@ class ResponseEquations:
         return replace(self, speeds=self.speeds[keep], blocks=tuple(blocks))
 
     def shifted(self, shown: np.ndarray) -> ResponseEquations:
-        """The same where the sensors show ``shown`` (P, R) m besides, at every speed."""
-        blocks = [replace(b, forced_sensors=b.forced_sensors + shown[:, b.runs]) for b in self.blocks]
+        """The same where the sensors show ``shown`` (S, P, R) m besides."""
+        blocks = [replace(b, forced_sensors=b.forced_sensors + shown[..., b.runs]) for b in self.blocks]
         return replace(self, blocks=tuple(blocks))
 
     def predict(self, bearings: BearingTable, unbalance: np.ndarray | None = None) -> np.ndarray:

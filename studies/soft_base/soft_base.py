@@ -129,9 +129,10 @@ def predict(fit: OutputErrorFit, data: VibrationDataset) -> Predicted:
     slopes = columns[0, ..., :-1].numpy()[speed, :, run]
     parts = np.stack([slopes.real, slopes.imag], axis=2)  # (n, P, 2, Z)
     spread = np.einsum("npcz,zy,npcy->npc", parts, fit.covariance(), parts, optimize=True) * factor[..., None] ** 2
-    record, both = problem.measurement.noise, np.stack([expected.real, expected.imag], axis=-1)
-    alone = (factor * record.additive) ** 2 + (record.multiplicative * np.abs(expected)) ** 2
-    noise = (fit.factor**2 * alone / 2)[..., None] + (record.record * both) ** 2
+    both = np.stack([expected.real, expected.imag], axis=-1)
+    other = problem.measurement.deviation_of(problem.displacement(fit.weights), factor=fit.factor, alone=True)
+    alone = (factor * other[speed, :, run]) ** 2
+    noise = (alone / 2)[..., None] + (problem.measurement.noise.record * both) ** 2
     return Predicted(run, read, expected, none, np.sqrt(spread + noise))
 
 

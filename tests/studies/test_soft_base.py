@@ -11,6 +11,7 @@ from running import ROOT
 from soft_base import MACHINE, Predicted, keep, read
 
 from pipeline.config.compose import compose_config
+from pipeline.errors import ConfigError
 
 RECORDS = MACHINE / "records.csv"
 
@@ -52,3 +53,25 @@ def test_a_label_is_read_from_the_other_records_alone() -> None:
     other = Predicted(made.weight, off, made.expected, still, made.deviation).label_read()
     assert other.expected[0] == pytest.approx(true[0])
     assert np.abs(other.expected[2] - true[2]).max() > 1e-3
+
+
+def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
+    """a / w^k of the displacement, since U = (j w)^k V, beside a floor that all probes share."""
+    floors = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um"}
+    overrides = [f"+machine.recordings.probes.{name}.floor='{floor}'" for name, floor in floors.items()]
+    config = compose_config(
+        ["experiment=mafaulda", "stated_noise={additive: 1 um, multiplicative: 0}", *overrides], MACHINE
+    )
+    measurement = read(config)
+    w = measurement.dataset.frequencies
+    own = np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1)
+    nothing = np.zeros_like(measurement.dataset.displacement)
+    assert measurement.deviation_of(nothing) == pytest.approx(np.hypot(1e-6, own))
+    assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(np.hypot(1e-6, own)[..., :2])
+
+
+@pytest.mark.parametrize("floor", ["0.1", "-1 um", "3 kg", "1"])
+def test_a_floor_has_the_unit_of_a_motion(floor: str) -> None:
+    """A number alone says nothing."""
+    with pytest.raises(ConfigError, match=r"must be a size in the probe's own quantity \(such as 0.1 m/s\^2"):
+        compose_config(["experiment=mafaulda", f"+machine.recordings.probes.ax1.floor='{floor}'"], MACHINE)
