@@ -21,7 +21,7 @@ class NoiseModel:
     multiplicative: float  # share of the reading, root mean square
     drift: float = 0.0  # m, root mean square, of the records of a condition together where nothing estimates it
     record: float = 0.0  # standard deviation of a factor that all readings of a run at a speed share
-    floors: tuple[tuple[int, float], ...] = ()  # order k and size in m/s^k of each channel's own; none: 0
+    floors: tuple[tuple[int, float], ...] = ()  # order k and size in m/s^k of each channel beside additive; none: 0
 
     def with_drift(self) -> NoiseModel:
         """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
@@ -35,7 +35,7 @@ class NoiseModel:
         size = float(np.exp(np.mean(np.log(self.deviation(readings) / other.deviation(readings)))))
         return replace(other, additive=other.additive * size, multiplicative=self.multiplicative * size)
 
-    def own_floor(self, frequencies: np.ndarray) -> np.ndarray:
+    def floor_at(self, frequencies: np.ndarray) -> np.ndarray:
         """(S, P or 1, R) m, the own floor of each channel at the ``frequencies`` (S, R) rad/s.
 
         Noise a of what a probe measures, U = (j w)^k V, is a / w^k of the displacement V.
@@ -44,13 +44,13 @@ class NoiseModel:
         return np.asarray(sizes / frequencies[:, None] ** orders)
 
     def deviation(
-        self, displacement: np.ndarray, subtracted: np.ndarray | float = 0.0, own: np.ndarray | float = 0.0
+        self, displacement: np.ndarray, subtracted: np.ndarray | float = 0.0, beside: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """(.., S, P, R) m, root mean square of the noise of each reading, whose channels have floors of their ``own``.
+        """(.., S, P, R) m, root mean square of the noise of each reading, whose channels have floors ``beside``.
 
         The noise of a baseline that was ``subtracted`` (zero where none was) is still there.
         """
-        floor = np.hypot(self.additive, own)
+        floor = np.hypot(self.additive, beside)
         read = np.hypot(floor, self.multiplicative * np.abs(displacement + subtracted))
         baseline = np.hypot(floor, self.multiplicative * np.abs(subtracted))
         return np.hypot(read, np.where(subtracted != 0, baseline, 0.0))

@@ -184,12 +184,12 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
             f"records, but got {noise.record:g}: leave out data.baseline (identify.unbalance_planes), or record"
         )
     laws = config.machine.laws
-    floors = {
+    stated_floors = {
         name_channel(place_probe(rotor, f"machine.recordings.probes.{name}", probe), probe.angle): probe.floor
         for name, probe in config.machine.recordings.probes.items()
     }
-    own = tuple(find_floor(floors.get((node, round(angle, 9)), "0 um")) for node, angle in dataset.channels)
-    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record, own), NO_LEVELS
+    floors = tuple(find_floor(stated_floors.get((node, round(angle, 9)), "0 um")) for node, angle in dataset.channels)
+    stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record, floors), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)
         if suffices(conditions):

@@ -150,8 +150,8 @@ class Measurement:
         """
         if self.drift:
             return np.asarray(np.broadcast_to(self.drift.deviation(), np.shape(displacement)))
-        own, stated = self.noise.own_floor(self.dataset.frequencies[:, runs]), self.dataset.noise
-        size = self.noise.deviation(displacement, np.asarray(baseline), own)
+        floor, stated = self.noise.floor_at(self.dataset.frequencies[:, runs]), self.dataset.noise
+        size = self.noise.deviation(displacement, np.asarray(baseline), floor)
         if stated.any():
             size = np.where(stated[..., runs] > 0, stated[..., runs], size)
         size = size * np.asarray(factor)[..., None]

@@ -57,17 +57,19 @@ def test_a_label_is_read_from_the_other_records_alone() -> None:
 
 def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
     """a / w^k of the displacement, since U = (j w)^k V, beside a floor that all probes share."""
-    floors = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um"}
-    overrides = [f"+machine.recordings.probes.{name}.floor='{floor}'" for name, floor in floors.items()]
+    stated = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um"}
+    overrides = [f"+machine.recordings.probes.{name}.floor='{size}'" for name, size in stated.items()]
     config = compose_config(
         ["experiment=mafaulda", "stated_noise={additive: 1 um, multiplicative: 0}", *overrides], MACHINE
     )
     measurement = read(config)
     w = measurement.dataset.frequencies
-    own = np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1)
+    floor = np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1)
     nothing = np.zeros_like(measurement.dataset.displacement)
-    assert measurement.deviation_of(nothing) == pytest.approx(np.hypot(1e-6, own))
-    assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(np.hypot(1e-6, own)[..., :2])
+    assert measurement.deviation_of(nothing) == pytest.approx(np.hypot(1e-6, floor))
+    assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(
+        np.hypot(1e-6, floor)[..., :2]
+    )
 
 
 @pytest.mark.parametrize("floor", ["0.1", "-1 um", "3 kg", "1"])
