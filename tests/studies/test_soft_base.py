@@ -57,8 +57,8 @@ def test_a_label_is_read_from_the_other_records_alone() -> None:
 
 def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
     """a / w^k of the displacement, since U = (j w)^k V, beside a floor that all probes share."""
-    stated = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um"}
-    overrides = [f"+machine.recordings.probes.{name}.floor='{size}'" for name, size in stated.items()]
+    stated = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um", "ax1": "0 um"}
+    overrides = [f"++machine.recordings.probes.{name}.floor='{size}'" for name, size in stated.items()]
     config = compose_config(
         ["experiment=mafaulda", "stated_noise={additive: 1 um, multiplicative: 0}", *overrides], MACHINE
     )
@@ -76,4 +76,4 @@ def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
 def test_a_floor_has_the_unit_of_a_motion(floor: str) -> None:
     """A number alone says nothing."""
     with pytest.raises(ConfigError, match=r"must be a size in the probe's own quantity \(such as 0.1 m/s\^2"):
-        compose_config(["experiment=mafaulda", f"+machine.recordings.probes.ax1.floor='{floor}'"], MACHINE)
+        compose_config(["experiment=mafaulda", f"++machine.recordings.probes.ax1.floor='{floor}'"], MACHINE)
