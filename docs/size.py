@@ -22,13 +22,13 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1711,
     "laws": 482,
-    "rotor": 736,
-    "data": 1045,
+    "rotor": 735,
+    "data": 1047,
     "parameters": 444,
     "sweep": 246,
     "ingest": 1646,
     "problem": 1503,
-    "identification": 2877,
+    "identification": 2899,
     "evaluation": 216,
     "twin": 499,
     "balance": 673,
@@ -40,22 +40,22 @@ STATEMENTS = {
     "reporting": 2513,
     "tracking": 351,
     "stages": 1118,
-    "beside the rooms": 572,
+    "beside the rooms": 573,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18605, 14500),
+    "statements of pipeline/": (18629, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (333, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (114, 200),
-    "statements of tests/": (13227, 13000),
+    "statements of tests/": (13276, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (735, 380),
-    "their files": (112, 75),
+    "functions entered by ingest and train of measured_demo": (759, 380),
+    "their files": (111, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
 

@@ -109,8 +109,8 @@ def _add_middles(
     middles = torch.cat([find_middle(whitened.at(g), y[g]) for g in counted[:, None]])
     each = whitened.at(counted)
     within = (each.evidence(middles, counted=1.0) - each.evidence(y[counted], counted=1.0)).sigmoid()
-    of_middles = by_choice[counted] * within
-    shares = torch.cat([by_choice.index_add(0, counted, -of_middles), of_middles])
+    middle_shares = by_choice[counted] * within
+    shares = torch.cat([by_choice.index_add(0, counted, -middle_shares), middle_shares])
     whitened = replace(whitened, choices=whitened.choices.join(each.choices))
     y = torch.cat([y, middles])
     root = whitened.carry(torch.eye(problem.places.size, dtype=y.dtype).expand(len(y), -1, -1))  # (G, Z, Y')
