@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -99,11 +100,17 @@ ENTERED = "functions entered by ingest and train of measured_demo"
 ENTERED_FILES = "their files"
 
 
+@cache
+def list_nodes(tree: ast.AST) -> list[ast.AST]:
+    """Every node below ``tree``, and itself."""
+    return list(ast.walk(tree))
+
+
 def count_statements(tree: ast.AST) -> int:
     """Without imports and docstrings."""
     return sum(
         isinstance(node, ast.stmt) and not isinstance(node, ast.Import | ast.ImportFrom) and not _is_text(node)
-        for node in ast.walk(tree)
+        for node in list_nodes(tree)
     )
 
 
@@ -114,7 +121,7 @@ def _is_text(node: ast.AST) -> bool:
 
 def list_bindings(tree: ast.AST) -> Iterator[str]:
     """What is assigned, a parameter, a field, a function or a class, each time."""
-    for node in ast.walk(tree):
+    for node in list_nodes(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id
         elif isinstance(node, ast.arg):
@@ -153,14 +160,14 @@ def measure_rooms() -> dict[str, int]:
     sizes: Counter[str] = Counter()
     for path in PACKAGE.rglob("*.py"):
         room = path.relative_to(PACKAGE).parts[0]
-        sizes["beside the rooms" if room.endswith(".py") else room] += count_statements(_parse(path))
+        sizes["beside the rooms" if room.endswith(".py") else room] += count_statements(parse(path))
     return dict(sizes)
 
 
 def measure_house() -> dict[str, int]:
     """The measures of BUDGETS."""
-    trees = [_parse(path) for path in PACKAGE.rglob("*.py")]
-    nodes = [node for tree in trees for node in ast.walk(tree)]
+    trees = [parse(path) for path in PACKAGE.rglob("*.py")]
+    nodes = [node for tree in trees for node in list_nodes(tree)]
     names = [name for tree in trees for name in list_bindings(tree)]
     pages = [path for path in (ROOT / "docs").glob("*.md") if path.name != "configuration.md"]
     return {
@@ -171,12 +178,14 @@ def measure_house() -> dict[str, int]:
         "isinstance on configurations": sum(map(_asks_for_a_kind, nodes)),
         "numeric constants of modules": sum(_is_number(node) for tree in trees for node in tree.body),
         "bindings named by empty words": sum(bool(EMPTY & set(name.split("_"))) for name in names),
-        "statements of tests/": sum(count_statements(_parse(path)) for path in (ROOT / "tests").rglob("*.py")),
+        "statements of tests/": sum(count_statements(parse(path)) for path in (ROOT / "tests").rglob("*.py")),
         "words of docs/ beside the reference": sum(len(path.read_text(encoding="utf-8").split()) for path in pages),
     }
 
 
-def _parse(path: Path) -> ast.Module:
+@cache
+def parse(path: Path) -> ast.Module:
+    """A module of the house."""
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
