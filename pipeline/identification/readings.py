@@ -165,8 +165,8 @@ class Readings:
             if measurement.noise.record:
                 records.append(measurement.noise.record * expected * precision[-1])
             if measurement.baseline.any():
-                shared = np.where(taken != 0, measurement.deviation_of(taken, factor=factor), 0.0) / alone
-                common.append(torch.as_tensor(shared))
+                noise = measurement.deviation_of(taken, factor=factor, runs=self.runs[b])
+                common.append(torch.as_tensor(np.where(taken != 0, noise, 0.0) / alone))
         every: dict[str, Any] = {"precision": tuple(precision), "common": tuple(common), "records": tuple(records)}
         return replace(self, **every, shares=counted)
 
