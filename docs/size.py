@@ -21,15 +21,15 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1711,
+    "config": 1719,
     "laws": 482,
     "rotor": 735,
-    "data": 1047,
-    "parameters": 444,
+    "data": 1050,
+    "parameters": 449,
     "sweep": 246,
     "ingest": 1646,
-    "problem": 1503,
-    "identification": 2899,
+    "problem": 1505,
+    "identification": 2903,
     "evaluation": 216,
     "twin": 499,
     "balance": 673,
@@ -46,10 +46,10 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18629, 14500),
+    "statements of pipeline/": (18651, 14500),
     "files": (249, 250),
     "classes": (329, 260),
-    "is None, is not None": (333, 420),
+    "is None, is not None": (332, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (114, 200),

@@ -301,7 +301,8 @@ def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -
         parts.append(quote_override("--config-dir", str(folder)))
     if config.machine.file and config.stage != "new":
         path, here = Path(config.machine.file), Path.cwd()
-        parts.append(quote_override("machine.file", str(path.relative_to(here) if path.is_relative_to(here) else path)))
+        short = path.relative_to(here) if path.is_relative_to(here) else path
+        parts.append(quote_override("machine.file", str(short)))
     elif "machine" in given:
         parts.append(f"machine={given['machine']}")
     if "experiment" in given and not given["experiment"].startswith(DEFAULTS):

@@ -227,10 +227,8 @@ class MachineConfig(Section):
             )
         for node in self.laws.bearings if self.laws else ():
             if node not in self.rotor.bearing_nodes:
-                yield (
-                    "laws.bearings must have bearing nodes of the rotor "
-                    f"({', '.join(map(str, self.rotor.bearing_nodes))}), but has node {node}"
-                )
+                where = ", ".join(map(str, self.rotor.bearing_nodes))
+                yield f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}"
         turning = [(f"run '{run.name}'", u.node) for run in self.runs for u in run.unbalances]
         turning += [("residual_unbalance", u.node) for u in self.residual_unbalance]
         turning += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]

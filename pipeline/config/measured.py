@@ -160,7 +160,8 @@ class SlowRollConfig(Section):
     @rule
     def _one_way(self) -> Iterator[str]:
         if (not self.below_rpm) == (not self.vectors):
-            yield f"must give either below_rpm or vectors, but got {'both' if self.vectors else 'neither'}"
+            got = "both" if self.vectors else "neither"
+            yield f"must give either below_rpm or vectors, but got {got}"
         if self.vectors and not (self.amplitude and self.phase):
             yield (
                 "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase (lag or lead) where it has vectors, "

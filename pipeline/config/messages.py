@@ -69,7 +69,8 @@ def _explain(item: Any, mapping: Mapping[str, Any], model: type[BaseModel]) -> s
         near = suggest(str(value), re.findall(r"'([^']*)'", choices))
         return f"{key}: must be one of these, but got {value!r}{near}"
     # A sentence of the schema itself says what came; a mapping in full would hide the law.
-    came = "" if kind == "value_error" or isinstance(value, Mapping) else f", but got {quote_value(value)}"
+    told = kind == "value_error" or isinstance(value, Mapping)
+    came = "" if told else f", but got {quote_value(value)}"
     return f"{key or 'configuration'}: {_state_law(kind, item['msg'])}{came}"
 
 

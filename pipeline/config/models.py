@@ -72,11 +72,8 @@ class _LayersConfig(_CoefficientModelConfig):
     @property
     def shape(self) -> dict[str, Any]:
         """The layers."""
-        return {
-            "hidden": (self.width,) * self.depth,
-            "activation": self.activation,
-            "input_scaling": self.input_scaling,
-        }
+        layers = (self.width,) * self.depth
+        return {"hidden": layers, "activation": self.activation, "input_scaling": self.input_scaling}
 
 
 class NetworkModelConfig(_LayersConfig):

@@ -135,7 +135,6 @@ class MotionConfig(Section):
                 "place, but is missing"
             )
         if len(given) > 1:
-            raise ValueError(
-                f"must be the one unit of the amplitudes, but got {' and '.join(given)}: leave out all but one"
-            )
+            text = " and ".join(given)
+            raise ValueError(f"must be the one unit of the amplitudes, but got {text}: leave out all but one")
         return value

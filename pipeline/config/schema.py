@@ -158,7 +158,5 @@ class Config(Section):
                 f"got loss={self.loss.kind}"
             )
         if self.loss.kind != "response" and self.model.families:
-            yield (
-                f"model={self.model.kind} must come with loss=response, which has its prior, but got "
-                f"loss={self.loss.kind}"
-            )
+            law = f"model={self.model.kind} must come with loss=response, which has its prior"
+            yield f"{law}, but got loss={self.loss.kind}"

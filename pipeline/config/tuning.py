@@ -170,9 +170,8 @@ class TuningConfig(Section):
         for name, dimension in self.space.items():
             for other, values in dimension.when.items():
                 if not seen.get(other):
-                    yield (
-                        f"must have conditions on choices that stand before them, but space.{name}.when names '{other}'"
-                    )
+                    law = "must have conditions on choices that stand before them"
+                    yield f"{law}, but space.{name}.when names '{other}'"
                 unknown = [value for value in values if value not in seen[other]]
                 if unknown or not values:
                     yield (

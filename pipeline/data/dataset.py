@@ -65,8 +65,9 @@ class VibrationDataset:
     noise: np.ndarray = field(default_factory=lambda: UNSTATED)  # (S, P, R) m, rms of a reading's own; 0: as stated
 
     def __post_init__(self) -> None:
+        shape = (len(self.speeds), len(self.runs))
         mask = EVERYWHERE if np.all(self.present) else self.present
-        object.__setattr__(self, "present", np.broadcast_to(mask, (len(self.speeds), len(self.runs))))
+        object.__setattr__(self, "present", np.broadcast_to(mask, shape))
 
     @property
     def complete(self) -> bool:
@@ -142,7 +143,8 @@ class VibrationDataset:
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        return np.stack([np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels])
+        rows = [np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels]
+        return np.stack(rows)
 
     def shares(self, node: int, angle: float) -> np.ndarray:
         """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it

@@ -185,4 +185,5 @@ def spread_states(
 def group_rows(keys: np.ndarray) -> list[np.ndarray]:
     """The indices of equal rows of ``keys`` (n, k), the group of the first row first."""
     _, of = np.unique(keys, axis=0, return_inverse=True)
-    return sorted((np.flatnonzero(of.ravel() == i) for i in range(of.max() + 1)), key=lambda group: int(group[0]))
+    groups = [np.flatnonzero(of.ravel() == i) for i in range(of.max() + 1)]
+    return sorted(groups, key=lambda group: int(group[0]))

@@ -75,8 +75,9 @@ def load_model(folder: Path) -> IdentifiedModel:
             "expansion does not fit the bearings and unknowns": expansion.shape
             == (len(nodes), len(COEFFICIENTS), len(model.unknowns)),
         }
-        for broken in (rule for rule, holds in rules.items() if not holds):
-            raise ValueError(broken)
+        for wrong, holds in rules.items():
+            if not holds:
+                raise ValueError(wrong)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
@@ -102,8 +103,11 @@ def load_answer(folder: Path, identify: IdentifyConfig, measurement: Measurement
         f"the unknowns {', '.join(identify.named())}": _match(identify.unknowns_of(nodes), model.unknowns),
         "identify.model_parameters": fitted == stated,
     }
-    for law in (law for law, holds in laws.items() if not holds):
-        raise DataError(f"'{training}' must belong to {law}, but it does not: run stage=train with the same overrides")
+    for law, holds in laws.items():
+        if not holds:
+            raise DataError(
+                f"'{training}' must belong to {law}, but it does not: run stage=train with the same overrides"
+            )
     return answer_of(measurement, model, load_uncertainty(folder, model))
 
 

@@ -96,7 +96,10 @@ def train_hidden(
     values, _ = model.physical(problem.outputs(linear), problem.scale)
     start = start_networks(model, guess, generator, inputs, values, rest)
     known = Prior(torch.eye(start.shape[-1], dtype=torch.float64)[len(start[0, 0]) - aims.shape[-1] :], aims)
-    training, judging = (pose_networks(weighed, model, known, inputs, inputs[:0]) for weighed in (half, other))
+    nowhere = inputs[:0]  # no prior of functions holds
+    training, judging = (
+        pose_networks(weighed, model, known, inputs, nowhere, nowhere @ nowhere.mT) for weighed in (half, other)
+    )
     ending = setup.ending(patience, still)
     return _mean(fit, training, minimise(training, start, ending, held_out=judging, progress=progress, together=True))
 

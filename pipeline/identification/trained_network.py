@@ -66,7 +66,7 @@ class TrainedNetworks(OutputError):
     inputs: torch.Tensor  # (S, 1), scaled
     known: Prior  # of the numbers
     points: torch.Tensor  # (L, 1) scaled inputs: the nodes, at which the prior of functions holds, and some between
-    between: torch.Tensor  # (L, L) rows of an output's values there that are zero with unit variance
+    between: torch.Tensor  # (L, L) rows of an output's values there, zero but for unit variance
     nodes: slice  # which of the points they are
     carried: ClassVar = ("gsamq", "mq")  # every output may have all parameters of its member
 
@@ -142,17 +142,17 @@ def pose_networks(
     known: Prior,
     inputs: torch.Tensor,
     points: torch.Tensor,
-    between: torch.Tensor | None = None,
+    between: torch.Tensor,
     points_a_node: int = 1,
 ) -> TrainedNetworks:
     """The ``problem`` with networks in place of functions, whose parameters are all fitted; what is given besides is as
-    in :class:`TrainedNetworks`: ``points`` are the nodes, if nothing is known ``between`` them."""
+    in :class:`TrainedNetworks`."""
     import torch
 
     same = {entry.name: getattr(problem, entry.name) for entry in fields(OutputError)}
     same["basis"] = replace(problem.basis, model=model)
     same["kept"] = torch.ones(len(model.scale), model.n_parameters, dtype=torch.bool)
-    between, nodes = points.new_zeros(0, len(points)) if between is None else between, slice(None, None, points_a_node)
+    nodes = slice(None, None, points_a_node)
     return TrainedNetworks(**same, known=known, inputs=inputs, points=points, between=between, nodes=nodes)
 
 

@@ -74,11 +74,11 @@ def softening(
     B + C, 8, T) fall, by the root of the stated force, of no run where nothing softens. That root is what trials with a
     measured base showed (studies/soft_base): softer modes need no other number than this one.
     """
-    first = len(rotor.bearing_nodes)
-    n_runs = len(dataset.runs) * any(parameter.kind == "base_softening" for parameter in parameters)
+    first, n_runs = len(rotor.bearing_nodes), len(dataset.runs)
     stated = np.zeros((first + rotor.n_ground, len(COEFFICIENTS)))
     growth = np.zeros((*stated.shape, len(parameters)))
-    fall = np.zeros((n_runs, len(dataset.speeds), *growth.shape))
+    softer = [(t, p) for t, p in enumerate(parameters) if p.kind == "base_softening"]
+    fall = np.zeros((n_runs if softer else 0, len(dataset.speeds), *growth.shape))
     for t, parameter in enumerate(parameters):
         if parameter.kind in ("support_stiffness", "base_softening"):
             at = first + parameter.place - rotor.n_nodes, COEFFICIENTS.index("k" + 2 * parameter.detail)

@@ -12,7 +12,16 @@ import numpy as np
 
 from pipeline.config.quantities import Acceleration, Length, PositiveAngle
 from pipeline.data.dataset import VibrationDataset, project_direction
-from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Place, PositiveShare, require_on_shaft, turns_with_rotor
+from pipeline.parameters.kind import (
+    PARTS,
+    UNSHOWN,
+    Kind,
+    Machine,
+    Place,
+    PositiveShare,
+    require_on_shaft,
+    turns_with_rotor,
+)
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel
 
@@ -65,6 +74,12 @@ def runout(parameters: Sequence[ModelParameter], dataset: VibrationDataset) -> n
 
 _ORDERS = {"runout": 0, "pickup": 2}
 """Kinds of vectors that are no motion of the probe: constant in this derivative of the displacement."""
+
+
+def _list_parts(machine: Machine, probes: Sequence[Place]) -> list[Place]:
+    """Real and imaginary part of a vector of each of the ``probes``, where some run shows it."""
+    parts = [Place(f"{probe.label} {component}", probe.place, component) for probe in probes for component in PARTS]
+    return parts if machine.shows_bow else []
 
 
 def _probe(parameters: Sequence[ModelParameter], channel: int) -> dict[str, float]:
@@ -125,12 +140,7 @@ KINDS = (
         name="runout",
         prior=Length,
         meaning="of what slow roll leaves, a vector that a probe shows at all speeds alike; real and imaginary part",
-        places=lambda machine: [
-            Place(f"{probe.label} {component}", probe.place, component)
-            for probe in machine.probes_on_shaft
-            for component in PARTS
-            if machine.shows_bow
-        ],
+        places=lambda machine: _list_parts(machine, machine.probes_on_shaft),
         missing=UNSHOWN,
         unit="m",
         shown=("um", 1e6),
@@ -140,12 +150,7 @@ KINDS = (
         name="pickup",
         prior=Acceleration,
         meaning="of a 1X vector of probes on casings that no motion causes, constant as acceleration; both parts",
-        places=lambda machine: [
-            Place(f"{probe.label} {component}", probe.place, component)
-            for probe in machine.probes
-            for component in PARTS
-            if probe not in machine.probes_on_shaft and machine.shows_bow
-        ],
+        places=lambda machine: _list_parts(machine, [p for p in machine.probes if p not in machine.probes_on_shaft]),
         missing="probes on casings in runs that turn with the rotor and that no baseline was subtracted from",
         unit="m/s^2",
         scope="runs",

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 
 def _change_modulus(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
-    return {
-        "stiffness": parameter.deviation * rotor.stiffness * (np.arange(rotor.n_dof) < DOF_PER_NODE * rotor.n_nodes)
-    }
+    shaft = np.arange(rotor.n_dof) < DOF_PER_NODE * rotor.n_nodes
+    return {"stiffness": parameter.deviation * rotor.stiffness * shaft}
 
 
 def _change_disc(parameter: ModelParameter, rotor: RotorModel, first: int, last: int) -> Mapping[str, np.ndarray]:

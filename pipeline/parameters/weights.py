@@ -70,7 +70,8 @@ _Acting = Sequence[tuple[int, "ModelParameter"]]
 def _list_acting(weight: Excitation, i: int, parameters: Sequence[ModelParameter]) -> _Acting:
     """Which of the parameters shift a number of a weight."""
     uncertain = [(t, parameter) for t, parameter in enumerate(parameters) if parameter.row.weight]
-    return [(t, p) for t, p in uncertain if weight.kind == "unbalance" and p.row.belongs(p, i, weight)]
+    turns = weight.kind == "unbalance"
+    return [(t, parameter) for t, parameter in uncertain if turns and parameter.row.belongs(parameter, i, weight)]
 
 
 def _unit(parameter: ModelParameter) -> complex:

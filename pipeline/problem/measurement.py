@@ -155,7 +155,8 @@ class Measurement:
         if stated.any():
             size = np.where(stated[..., runs] > 0, stated[..., runs], size)
         size = size * np.asarray(factor)[..., None]
-        return np.asarray(np.maximum(np.hypot(size, (not alone) * self.noise.record * np.abs(displacement)), least))
+        record = 0.0 if alone else self.noise.record
+        return np.asarray(np.maximum(np.hypot(size, record * np.abs(displacement)), least))
 
     @cached_property
     def equations(self) -> BearingEquations:
@@ -240,7 +241,8 @@ class Measurement:
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            return replace(self, unknowns=unknowns, parameters=(), solved=replace(self.response, planes=()))
+            solved = replace(self.response, planes=())
+            return replace(self, unknowns=unknowns, parameters=(), solved=solved)
         every, seen = np.arange(len(data.runs)), data.present[:, turning]
         first = turning[seen.argmax(axis=1)]  # (S,)
         turns = np.isin(every, turning) & (seen.sum(axis=1, keepdims=True) > 1)  # (S, R)

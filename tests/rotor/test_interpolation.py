@@ -17,7 +17,7 @@ from pipeline.rotor.stored import load_rotor
 
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 LENGTH = 0.56
-SPEEDS = np.array([40.0, 130.0])
+SPEEDS = np.linspace(40.0, 130.0, 4)
 
 
 def rig(elements: int, bearing_nodes: list[int], disc_nodes: list[int]) -> RotorModel:
