@@ -12,7 +12,7 @@ Legend: S operating points, R runs, P measured channels (a node and a direction 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -119,6 +119,16 @@ class VibrationDataset:
             present=self.present[speeds][:, where],
             noise=self.noise[speeds][..., where] if self.noise.any() else UNSTATED,
             **beside,
+        )
+
+    def of_channels(self, kept: Sequence[int]) -> VibrationDataset:
+        """The ``kept`` channels (indices) alone."""
+        return replace(
+            self,
+            channels=tuple(self.channels[p] for p in kept),
+            displacement=self.displacement[:, kept],
+            subtracted=None if self.subtracted is None else self.subtracted[:, kept],
+            noise=self.noise[:, kept] if self.noise.any() else UNSTATED,
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,10 @@ class NoiseModel:
     def with_drift(self) -> NoiseModel:
         """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
         return replace(self, additive=float(np.hypot(self.additive, self.drift)), drift=0.0)
+
+    def of_channels(self, kept: Sequence[int]) -> NoiseModel:
+        """That of the ``kept`` channels (indices) alone."""
+        return replace(self, floors=tuple(self.floors[p] for p in kept if self.floors))
 
     def reshaped(self, ratio: float, readings: np.ndarray) -> NoiseModel:
         """The noise whose floor is ``ratio`` times as large beside the share, as large as this over the ``readings`` m:

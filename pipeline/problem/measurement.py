@@ -228,6 +228,11 @@ class Measurement:
             solved=self.response.at(keep, runs),  # once for all of it
         )
 
+    def of_channels(self, kept: Sequence[int]) -> Measurement:
+        """The ``kept`` channels (indices) alone, with the response that they show to be solved anew."""
+        weighed, noise = self.deviation[:, kept], self.noise.of_channels(kept)
+        return replace(self, dataset=self.dataset.of_channels(kept), noise=noise, weighed=weighed, solved=None)
+
     def table(self, values: np.ndarray) -> BearingTable:
         """All eight coefficients, from unknowns (M, S, U) and the known ones."""
         return self.known.with_unknowns(self.unknowns, values)

@@ -170,16 +170,10 @@ def of_probes(measurement: Measurement, names: Sequence[str]) -> Iterator[Mistak
                 f"the angle of '{names[p]}'",
                 alter(measurement, channels=turned),
             )
-        rest = [i for i in range(count) if i != p]
-        fewer: dict[str, Any] = {
-            "channels": tuple(data.channels[i] for i in rest),
-            "displacement": data.displacement[:, rest],
-            "subtracted": None if data.subtracted is None else data.subtracted[:, rest],
-        }
         yield Mistake(
             f"probe '{names[p]}' is left out: it is dead, clipped, loose, or somewhere else",
             f"the signal of '{names[p]}'",
-            alter(measurement, measurement.deviation[:, rest], **fewer),
+            measurement.of_channels([i for i in range(count) if i != p]),
             penalty=LEFT_OUT,
         )
         yield Mistake(

@@ -67,9 +67,11 @@ def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
     floor = np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1)
     nothing = np.zeros_like(measurement.dataset.displacement)
     assert measurement.deviation_of(nothing) == pytest.approx(np.hypot(1e-6, floor))
-    assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(
-        np.hypot(1e-6, floor)[..., :2]
-    )
+    wanted = np.hypot(1e-6, floor)
+    assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(wanted[..., :2])
+    fewer = measurement.of_channels([1, 3])
+    assert fewer.deviation_of(nothing[:, [1, 3]]) == pytest.approx(wanted[:, [1, 3]])
+    assert fewer.dataset.channels == tuple(measurement.dataset.channels[p] for p in (1, 3))
 
 
 @pytest.mark.parametrize("floor", ["0.1", "-1 um", "3 kg", "1"])
