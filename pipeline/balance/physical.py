@@ -19,7 +19,6 @@ from pipeline.balance.influence import bend, design_of, differentiate
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.data.conditions import Conditions
 from pipeline.identification.answer import restore
-from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.parameters.weights import bend_law
@@ -98,11 +97,9 @@ class Physical(LinearVibration):
         return replace(self.problem, sensors=made.sensors, readings=plain, features=made.features, origin=made.origin)
 
 
-def restore_physical(
-    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, conditions: Conditions
-) -> Physical:
+def restore_physical(measurement: Measurement, uncertainty: Uncertainty, conditions: Conditions) -> Physical:
     """The predictor of a fit that was stored, with constant coefficients, to ``conditions`` whose noise has levels."""
-    problem, weights = restore(measurement.update(uncertainty.parameters), identified, uncertainty)
+    problem, weights = restore(measurement.update(uncertainty.parameters), uncertainty)
     return Physical(
         speeds=conditions.speeds,
         channels=conditions.channels,

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.comparison import ComparisonConfig, MethodName, SensorSet
 from pipeline.data.dataset import VibrationDataset
-from pipeline.data.operating import split_states
+from pipeline.data.operating import space_evenly, split_states
 from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure
 from pipeline.evaluation.errors import list_coverage, measure_errors
 from pipeline.laws.law_set import NO_LAWS, LawSet
@@ -105,10 +105,7 @@ class Machine:
 
     def speeds(self, case: Case) -> np.ndarray:
         """Indices of the speeds of a case, evenly spread from the first to the last at each operating condition."""
-        chosen = [
-            points[np.unique(np.linspace(0, len(points) - 1, min(case.speeds, len(points))).round().astype(int))]
-            for points in self._states
-        ]
+        chosen = [points[space_evenly(len(points), case.speeds)] for points in self._states]
         return np.sort(np.concatenate(chosen))
 
 

@@ -182,6 +182,11 @@ def spread_states(
     return np.tile(speeds, len(grid)), conditions
 
 
+def space_evenly(count: int, most: int) -> np.ndarray:
+    """At most so many indices below the ``count``, ascending, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
 def group_rows(keys: np.ndarray) -> list[np.ndarray]:
     """The indices of equal rows of ``keys`` (n, k), the group of the first row first."""
     _, of = np.unique(keys, axis=0, return_inverse=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.identification.blocks import Basis, Prior
-from pipeline.identification.identified import Fit, FittedParameter, IdentifiedModel, PhysicalNumber
+from pipeline.identification.identified import Fit, FittedParameter, PhysicalNumber
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
@@ -54,9 +54,7 @@ def conclude(fit: OutputErrorFit) -> Fit:
     )
 
 
-def restore(
-    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty
-) -> tuple[OutputError, torch.Tensor]:
+def restore(measurement: Measurement, uncertainty: Uncertainty) -> tuple[OutputError, torch.Tensor]:
     """The problem of a fit at the readings of ``measurement``, and the fit's weights (1, 1, Z): those of the functions
     are deviations from the answer. So priors of functions say how far these may go, and nothing of where they aim.
 
@@ -64,6 +62,7 @@ def restore(
     """
     import torch
 
+    identified = uncertainty.identified
     (n_active, count), precision = uncertainty.precision.shape, torch.as_tensor(uncertainty.precision)
     told = np.diag(uncertainty.covariance)[uncertainty.places.coefficients].reshape(n_active, -1)[:, :count] > 0
     rows, aims = map(torch.as_tensor, uncertainty.functions)

@@ -171,15 +171,14 @@ class OutputErrorLoss:
         if not setup.model.has_laws and not diagnosis.solved:
             return diagnosis.deviations
         start = prepare_output_error(measurement, setup)
-        model = start.problem.identified(start.weights[:1])
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
         kind, precision = "bearing laws of few numbers" if setup.model.has_laws else kind, 1.0
         if start.searched and setup.loss.noise == "estimated":
             precision = start.searched.precision
             kind += f", whose readings show {write_rough(1 / precision)} times that noise"
         expected = expect_uncertainty(start, precision)
-        table = model.table(measurement.known)
-        return Deviations(table, expected.deviation(model, table.speeds, table.operating), kind)
+        table = expected.identified.table(measurement.known)
+        return Deviations(table, expected.deviation(table.speeds, table.operating), kind)
 
     def fit(
         self,

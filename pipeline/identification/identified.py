@@ -130,7 +130,7 @@ class Fit:
 
     def deviation(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray | None:
         """(B, S, 8) standard deviations, see :meth:`pipeline.identification.uncertainty.Uncertainty.deviation`."""
-        return None if self.uncertainty is None else self.uncertainty.deviation(self.model, speeds, operating)
+        return None if self.uncertainty is None else self.uncertainty.deviation(speeds, operating)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class Answer:
     def deviation_at(self, table: BearingTable) -> np.ndarray | None:
         """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
         stated = self.uncertainty
-        return None if stated is None else stated.deviation(self.model, table.speeds, table.operating)
+        return None if stated is None else stated.deviation(table.speeds, table.operating)
 
     @property
     def tags(self) -> dict[str, str]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from pipeline.coefficients import is_direct
 from pipeline.config.identification import LevenbergMarquardtConfig
+from pipeline.data.operating import space_evenly
 from pipeline.identification.blocks import Basis, for_model, orthonormal_basis
 from pipeline.identification.families import list_choices
 from pipeline.identification.held_out import held_out_points, held_out_runs
@@ -310,8 +311,7 @@ def _fit_laws(
     """
     import torch
 
-    count = len(training.dataset.speeds)
-    few = np.unique(np.linspace(0, count - 1, min(count, points)).round().astype(int))
+    few = space_evenly(len(training.dataset.speeds), points)
     problem = _without_correction(output_error(training.select(few), basis, plane_scale))
     section = LevenbergMarquardtConfig(steps=60, patience=1, initial_damping=1e-2)
     judged = _spread(problem)

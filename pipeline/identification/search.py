@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.data.operating import space_evenly
 from pipeline.identification.families import Choices, Whitened
 from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.problem import OutputError, output_error
@@ -83,8 +84,11 @@ def search(
     problem, whitened, y = _settle(problem, whitened, lifted, kept, most_exact)
     if explained < coarse:  # the simpler problem could not tell which choices to drop
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
-    problem, whitened, y, evidence = look_beside(problem, whitened, choices, y, kept, most_exact)
+    problem, whitened, y = look_beside(problem, whitened, choices, y, kept, most_exact)
     precision = min(_noise(replace(whitened, problem=problem), y), most_exact)
+    # Solved anew at the best, the problem has its minima elsewhere.
+    whitened = replace(whitened, problem=problem.scaled(precision))
+    whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-5, steps=40), kept)
     if again:
         best, at = replace(whitened.problem, functions=whitened.choices.functions()), whitened.weights(y)[:1]
         best = reshape_noise(best, at)
@@ -93,7 +97,7 @@ def search(
             changed = stated.with_noise(noise, stated.readings.measured).correlated(correlation)
             return search(changed, choices, seed, kept, most_exact, small, coarse, negligible, again=False)
     likely = (evidence > evidence[0] + np.log(negligible)).nonzero()[:, 0]
-    return _add_middles(problem, replace(whitened.at(likely), problem=problem.scaled(precision)), y[likely], precision)
+    return _add_middles(problem, whitened.at(likely), y[likely], precision)
 
 
 def _add_middles(
@@ -189,22 +193,22 @@ def look_beside(
     kept: int,
     most_exact: float,
     turns: int = 5,
-) -> tuple[OutputError, Whitened, torch.Tensor, torch.Tensor]:
-    """The ``problem``, the likeliest minima and their evidence, once no choice is likelier that differs from the best
-    at one bearing: the simpler problem may have dropped it. The rotor is solved at the best.
+) -> tuple[OutputError, Whitened, torch.Tensor]:
+    """The ``problem`` and the likeliest minima, once no choice is likelier that differs from the best at one bearing:
+    the simpler problem may have dropped it. The rotor is solved at the best.
     """
-    whitened, y, evidence = _rank(whitened, y, kept)
+    whitened, y, _ = _rank(whitened, y, kept)
     for _ in range(turns):
         best = whitened.choices.families[0]
         if not (beside := choices.beside(best)).families:
             break
         whitened, y, _ = _rank(*_take_up(whitened, beside, y), kept)
-        whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-4, steps=40), kept)
+        whitened, y, _ = _rank(whitened, whitened.minimise(y, 1e-4, steps=40), kept)
         if whitened.choices.families[0] == best:
             break
         problem, whitened, y = _settle(problem, whitened, y, kept, most_exact)
-        whitened, y, evidence = _rank(whitened, y, kept)
-    return problem.update(whitened.weights(y)[:1]), whitened, y, evidence
+        whitened, y, _ = _rank(whitened, y, kept)
+    return problem.update(whitened.weights(y)[:1]), whitened, y
 
 
 def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torch.Tensor]:
@@ -214,7 +218,7 @@ def _simplify(problem: OutputError, speeds: int = 40) -> tuple[OutputError, torc
     measurement = problem.measurement
     kept = [parameter.row.scope != "run" for parameter in measurement.parameters]
     count = len(measurement.dataset.speeds)
-    few = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
+    few = space_evenly(count, speeds)
     parameters = [replace(parameter, value=0.0) for parameter in itertools.compress(measurement.parameters, kept)]
     simpler = replace(measurement, parameters=tuple(parameters), solved=measurement.response)
     made = output_error(simpler.select(few), problem.basis, problem.plane_scale)

@@ -43,8 +43,9 @@ UNCERTAINTY = "uncertainty.safetensors"
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What is needed for a deviation at any speed, beside the identified model."""
+    """What is needed for a deviation at any speed."""
 
+    identified: IdentifiedModel
     weights: np.ndarray  # (M, F, K) output weights of an orthonormal basis
     covariance: np.ndarray  # (Z, Z)
     precision: np.ndarray  # (A, K) of the weights before the data
@@ -58,15 +59,14 @@ class Uncertainty:
     n_local: int  # L
     unfitted: Unfitted  # the part of the covariance that is of tolerances
 
-    def sensitivity(
-        self, identified: IdentifiedModel, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None
-    ) -> np.ndarray:
+    def sensitivity(self, speeds: np.ndarray, operating: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
         """(B, S, 8, A (K + L) + Th) derivative of the coefficients by the weights of features and local functions, and
         by the numbers of bearing laws.
         """
         import torch
 
-        model, points, unknowns = identified.model, points_of(speeds, operating), identified.unknowns
+        identified, points = self.identified, points_of(speeds, operating)
+        model, unknowns = identified.model, identified.unknowns
         with torch.no_grad():
             features = model.features(identified.parameters, model.scaled_inputs(points))
             basis = features @ torch.as_tensor(self.weights)  # (M, S, K)
@@ -78,7 +78,6 @@ class Uncertainty:
 
     def deviation(
         self,
-        identified: IdentifiedModel,
         speeds: np.ndarray,
         operating: Mapping[str, np.ndarray] | None = None,
         covariance: np.ndarray | None = None,
@@ -91,11 +90,11 @@ class Uncertainty:
         ``covariance`` (Z, Z) is a part of the whole one, which is the default. Beyond the ``widest`` deviation of its
         logarithm a coefficient is not known at all. Of coordinates of the impedance, see :meth:`_by_draws`.
         """
-        whole = self.covariance if covariance is None else covariance
+        identified, whole = self.identified, self.covariance if covariance is None else covariance
         if identified.model.parametrisation == "impedance":
-            return self._by_draws(identified, points_of(speeds, operating), whole)
+            return self._by_draws(points_of(speeds, operating), whole)
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
-            by_weights = self.sensitivity(identified, speeds, operating)
+            by_weights = self.sensitivity(speeds, operating)
             outer = by_weights.shape[-1]
             variance = np.einsum("bscz,zy,bscy->bsc", by_weights, whole[:outer, :outer], by_weights, optimize=True)
             deviation = np.sqrt(np.maximum(variance, 0.0))
@@ -106,9 +105,7 @@ class Uncertainty:
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
-    def _by_draws(
-        self, identified: IdentifiedModel, points: Mapping[str, np.ndarray], covariance: np.ndarray, count: int = 512
-    ) -> np.ndarray:
+    def _by_draws(self, points: Mapping[str, np.ndarray], covariance: np.ndarray, count: int = 512) -> np.ndarray:
         """(B, S, 8) deviations whose nominal 95 % interval about the answer holds that of drawn coordinates.
 
         Coordinates are normal, and coefficients are not: ``count`` places that fill the normal distribution evenly
@@ -117,7 +114,8 @@ class Uncertainty:
         import torch
         from scipy.stats import norm, qmc
 
-        model, inputs = identified.model, identified.model.scaled_inputs(points)
+        identified, model = self.identified, self.identified.model
+        inputs = model.scaled_inputs(points)
         basis = (model.features(identified.parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
         n_functions, raw = basis.shape[-1], model.raw(identified.parameters, inputs)
         active = np.array(identified.unknowns.active)  # (A, 2) of (member, unknown)
@@ -167,7 +165,7 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
     """The uncertainty of a fit: of noise and functions, as much wider as its deviations say, and of the tolerances."""
     problem, error = fit.problem.scaled(quality.inflation**-0.5), fit.error(quality.inflation)
     unfitted = measure_tolerances(problem, fit.weights, error.fitted, len(error.matrix))
-    return _state(problem, fit.weights, error.matrix + unfitted.covariance(), error.n_local, unfitted)
+    return _state(fit.identified, problem, fit.weights, error.matrix + unfitted.covariance(), error.n_local, unfitted)
 
 
 def expect_uncertainty(start: OutputErrorStart, precision: float) -> Uncertainty:
@@ -179,13 +177,21 @@ def expect_uncertainty(start: OutputErrorStart, precision: float) -> Uncertainty
     problem, weights = widen(start.problem.scaled(precision), start.weights[:1])
     covariance = problem.covariance(weights)[0]
     covariance = start.searched.mix(covariance) if start.searched else covariance
-    return _state(problem, weights, covariance, 0, none_unfitted(len(covariance)))
+    return _state(
+        start.problem.identified(start.weights[:1]), problem, weights, covariance, 0, none_unfitted(len(covariance))
+    )
 
 
 def _state(
-    problem: OutputError, weights: torch.Tensor, covariance: np.ndarray, n_local: int, unfitted: Unfitted
+    identified: IdentifiedModel,
+    problem: OutputError,
+    weights: torch.Tensor,
+    covariance: np.ndarray,
+    n_local: int,
+    unfitted: Unfitted,
 ) -> Uncertainty:
     return Uncertainty(
+        identified,
         problem.basis.weights.numpy(),
         covariance,
         np.asarray((problem.precision * problem.kept).numpy()),
@@ -242,6 +248,7 @@ def load_uncertainty(folder: Path, identified: IdentifiedModel) -> Uncertainty |
             return None
         unbalance = parts["residual_unbalance"][0] + 1j * parts["residual_unbalance"][1]
         uncertainty = Uncertainty(
+            identified,
             parts["weights"],
             parts["covariance"],
             parts["precision"],

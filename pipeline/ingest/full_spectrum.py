@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.config.measured import MeasuredProbeConfig
+from pipeline.data.operating import space_evenly
 from pipeline.ingest.order_tracking import Signals
 
 
@@ -49,7 +50,7 @@ def measure_full_spectra(
     for record in (signals.between_pulses() for signals in records):
         turns = np.asarray(record.angle.angle(record.time)) / (2 * np.pi)
         count = int((turns[-1] - turns[0]) // part_turns)
-        for shown in np.unique(np.linspace(0, count - 1, min(count, most_parts)).round().astype(int)):
+        for shown in space_evenly(count, most_parts):
             at = np.interp(turns[0] + shown * part_turns + step, turns, record.time)
             first, last = np.searchsorted(record.time, at[[0, -1]])
             near = slice(max(first - 1, 0), last + 1)

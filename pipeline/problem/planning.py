@@ -16,6 +16,7 @@ from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.excitation_files import Runs, list_candidates, scale_runs
+from pipeline.data.operating import space_evenly
 from pipeline.data.sensors import list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, nearest
@@ -186,7 +187,7 @@ def choose_best(config: Config, rotor: RotorModel) -> tuple[Runs, dict[str, Meas
     if design.runs > len(possible):
         raise ConfigError(f"design.runs must be at most the {len(possible)} candidates, but got {design.runs}")
     every = config.machine.speeds.rad_s()
-    speeds = every[np.unique(np.linspace(0, len(every) - 1, min(design.speeds, len(every))).round().astype(int))]
+    speeds = every[space_evenly(len(every), design.speeds)]
     prior = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
 
     def plan(runs: Runs, frequencies: np.ndarray | None = None) -> Measurement:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct, unit
-from pipeline.data.operating import split_states
+from pipeline.data.operating import space_evenly, split_states
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
@@ -179,11 +179,6 @@ def pick_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray], most: i
     """The states of points (S,); of more than ``most``, so many from the first to the last."""
     states = split_states(speeds, operating)
     return [states[i] for i in space_evenly(len(states), most)]
-
-
-def space_evenly(count: int, most: int) -> list[int]:
-    """At most so many indices below the ``count``, the first and the last among them."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, most).tolist()})
 
 
 def colour_states(count: int) -> list[str]:

@@ -84,7 +84,6 @@ def compare_identified(
         return {}
     expected = expect_criticals(
         answer.measurement,
-        answer.model,
         answer.uncertainty,
         run_up["natural_frequency"]["rpm"] * np.linspace(*around, 61) * RAD_S_PER_RPM,
     )

@@ -87,7 +87,7 @@ def _load_physical(analysis: Analysis, conditions: Conditions) -> Physical | Non
     measurement, answer = prepare(analysis), restore(analysis)
     if answer.uncertainty is None or not measurement.drift:
         return None
-    return restore_physical(measurement, answer.model, answer.uncertainty, conditions)
+    return restore_physical(measurement, answer.uncertainty, conditions)
 
 
 def load_records(config: Config, file: str, key: str) -> Records:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.data.operating import space_evenly
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
@@ -62,7 +63,6 @@ class Evidence:
 
 def gather(
     measurement: Measurement,
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
     fit: Mapping[str, Any],
     fitted: np.ndarray,
@@ -77,11 +77,11 @@ def gather(
     """
     names = name_channels(measurement)
     factor = np.array([fit["noise_factor"][name] for name in names]) if "noise_factor" in fit else np.ones(len(names))
-    linear = linearise(measurement, identified, uncertainty, fitted, factor, fit.get("noise_correlation", 0.0))
-    answer, unfitted = identified.table(measurement.updated_known), uncertainty.unfitted
+    linear = linearise(measurement, uncertainty, fitted, factor, fit.get("noise_correlation", 0.0))
+    answer, unfitted = uncertainty.identified.table(measurement.updated_known), uncertainty.unfitted
 
     def deviate(covariance: np.ndarray) -> np.ndarray:
-        spread = uncertainty.deviation(identified, answer.speeds, answer.operating, covariance)
+        spread = uncertainty.deviation(answer.speeds, answer.operating, covariance)
         lost = np.isnan(spread) & measurement.unknowns.identified[:, None]  # of coefficients that ran away
         return np.where(lost, np.inf, spread)
 
@@ -108,8 +108,8 @@ def gather(
         priors=dict(
             zip((p.name for p in measurement.parameters), map(float, uncertainty.parameters.tolist()), strict=True)
         ),
-        departures=find_departures(measurement, identified, answer),
-        growth=find_growth(measurement, answer, identified, uncertainty),
+        departures=find_departures(measurement, uncertainty.identified, answer),
+        growth=find_growth(measurement, answer, uncertainty),
         outcome=outcome,
     ), linear
 
@@ -131,7 +131,6 @@ def find_departures(measurement: Measurement, identified: IdentifiedModel, answe
 def find_growth(
     measurement: Measurement,
     answer: BearingTable,
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
     most_speeds: int = 40,
 ) -> Growth:
@@ -140,10 +139,10 @@ def find_growth(
     from pipeline.twin.mode_deviations import deviate_modes
     from pipeline.twin.modes import Stability, find_modes, judge_growth
 
-    keep = np.unique(np.linspace(0, len(answer.speeds) - 1, most_speeds).round().astype(int))
+    keep = space_evenly(len(answer.speeds), most_speeds)
     bearings, growing = answer.at(keep), measurement.select(keep)
     modes = find_modes(measurement.updated_rotor, bearings)
-    deviation = deviate_modes(modes, growing, bearings, identified, uncertainty).growth
+    deviation = deviate_modes(modes, growing, bearings, uncertainty).growth
     unstable = [
         rpm
         for rpm, largest, spread in zip(to_rpm(bearings.speeds), modes.growth, deviation, strict=True)

@@ -138,9 +138,8 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
     # Nothing holds an exponential at speeds that were held out as a range: there is nothing to judge.
     keep = answer.model.table(updated.updated_known).bounded
     updated, fitted = (updated, fitted) if keep.all() else (updated.select(keep), fitted[keep])
-    given = (updated, answer.model, uncertainty)
-    evidence, linear = gather(*given, about["fit"], fitted, about["outcome"])
-    gains = weigh_candidates(*given, linear, list_candidates(config.machine.candidates))
+    evidence, linear = gather(updated, uncertainty, about["fit"], fitted, about["outcome"])
+    gains = weigh_candidates(updated, uncertainty, linear, list_candidates(config.machine.candidates))
     mistakes: list[Mistake] = []
     wanders = (about["fit"]["whiteness"].get("probability") or 0.0) < MISMATCH
     if wanders and evidence.misfit.of_stated > WORTH_TRYING:

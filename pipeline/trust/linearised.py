@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.data.dataset import EVERYWHERE, Excitation, name_direction
 from pipeline.identification.answer import restore
-from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
@@ -81,7 +80,6 @@ def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def linearise(
     measurement: Measurement,
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
     fitted: np.ndarray,
     factor: np.ndarray | float = 1.0,
@@ -96,7 +94,7 @@ def linearise(
     """
     import torch
 
-    problem, weights = restore(measurement, identified, uncertainty)
+    problem, weights = restore(measurement, uncertainty)
     data = measurement.dataset
     # What one run does is asked of each reading by itself: noise that they share would tie runs together.
     readings = problem.readings
@@ -131,7 +129,6 @@ Gains = Sequence[tuple[Run, np.ndarray]]
 
 def weigh_candidates(
     measurement: Measurement,
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
     linear: LinearisedFit,
     candidates: Sequence[Run],
@@ -158,7 +155,7 @@ def weigh_candidates(
         present=EVERYWHERE,
     )
     planned = replace(measurement, dataset=plan, drift=NO_LEVELS)  # its runs are conditions of their own
-    seen = linearise(planned, identified, uncertainty, np.ones(shape, dtype=bool)).by_weight
+    seen = linearise(planned, uncertainty, np.ones(shape, dtype=bool)).by_weight
     for i, acting in enumerate(able):
         after = linear.deviate(np.linalg.inv(linear.normal + cross(seen[:, :, [i]], seen[:, :, [i]])))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.coefficients import is_direct
+from pipeline.data.operating import space_evenly
 from pipeline.data.sensors import project
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.inputs import evaluate_functions
@@ -75,7 +76,7 @@ def find_mistakes(
     names, count = [*(probes or name_channels(measurement))], len(measurement.dataset.speeds)
     thinned = []
     for speeds, terms in (first, last):
-        keep = np.unique(np.linspace(0, count - 1, min(count, speeds)).round().astype(int))
+        keep = space_evenly(count, speeds)
         thinned.append((measurement.select(keep), values[:, keep], 1 if constant else min(terms, len(keep))))
     (part, start, terms), screened = thinned[1], thinned[0][0]
     base = quick_fit(part, [start], terms)

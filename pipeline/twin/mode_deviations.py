@@ -22,7 +22,6 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.errors import ConfigError
-from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.parameters.model import ModelParameter, rotor_change
 from pipeline.problem.measurement import Measurement
@@ -123,14 +122,13 @@ def deviate_modes(
     modes: WhirlModes,
     measurement: Measurement,
     bearings: BearingTable,
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
 ) -> ModeDeviations:
     """The deviations that the covariance of coefficients and model parameters implies, to first order.
 
     ``measurement`` is at the fitted model parameters, ``modes`` and ``bearings`` are those of its rotor.
     """
-    by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
+    by_number = uncertainty.sensitivity(bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     count, covariance = by_number.shape[-1], uncertainty.machine_covariance
     changes = [rotor_change(parameter, measurement.rotor) for parameter in measurement.parameters]
     steps = [parameter.slope for parameter in measurement.parameters]
@@ -258,7 +256,7 @@ def _find_null(system: np.ndarray) -> np.ndarray:
 
 
 def expect_criticals(
-    measurement: Measurement, identified: IdentifiedModel, uncertainty: Uncertainty, speeds: np.ndarray
+    measurement: Measurement, uncertainty: Uncertainty, speeds: np.ndarray
 ) -> list[tuple[CriticalSpeed, tuple[float, float]]]:
     """The critical speeds within ``speeds`` (S,) rad/s beyond the data, ascending, each with its deviations: see
     :meth:`ModeDeviations.of_critical`.
@@ -266,7 +264,7 @@ def expect_criticals(
     ``measurement`` is at the fitted model parameters. Raises ConfigError where a coefficient, identified or known,
     depends on the speed: nothing says what it is beyond the data.
     """
-    known = measurement.updated_known
+    known, identified = measurement.updated_known, uncertainty.identified
     if identified.model.hidden is not None or np.ptp(known.values, axis=1).any():
         raise ConfigError(
             "critical speeds beyond the data must be of coefficients that do not depend on the speed, but some do: use "
@@ -276,5 +274,5 @@ def expect_criticals(
     updated = replace(measurement, known=table)
     bearings = identified.table(table)
     modes = find_modes(updated.updated_rotor, bearings)
-    deviations = deviate_modes(modes, updated, bearings, identified, uncertainty)
+    deviations = deviate_modes(modes, updated, bearings, uncertainty)
     return [(critical, deviations.of_critical(critical)) for critical in find_critical_speeds(modes)]

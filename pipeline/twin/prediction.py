@@ -22,7 +22,6 @@ from pipeline.data.operating import name_state, split_states
 from pipeline.data.simulate import solve_response
 from pipeline.data.vibration_files import write_range
 from pipeline.identification.held_out import held_out_conditions, held_out_range, held_out_runs, held_out_speeds
-from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.quality import finite
 from pipeline.identification.readings import read_answer
 from pipeline.identification.uncertainty import Uncertainty
@@ -68,7 +67,6 @@ def add_deviation(
     measurement: Measurement,
     bearings: BearingTable,
     unbalances: tuple[Excitation, ...],
-    identified: IdentifiedModel,
     uncertainty: Uncertainty,
 ) -> PredictedVibration:
     """The same with the deviation that the covariance of coefficients and model parameters implies, to first order.
@@ -82,7 +80,7 @@ def add_deviation(
     stiffness = float(np.median(np.abs(bearings.values[..., 0])))
     equations = response_equations(measurement.updated_rotor, dataset, stiffness)
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
-    by_number = uncertainty.sensitivity(identified, bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
+    by_number = uncertainty.sensitivity(bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     slopes = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
     if measurement.parameters:
         # With exact probes and weights and a straight shaft: no probe shows this vibration.

@@ -91,9 +91,9 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     modes = find_modes(points.updated_rotor, identified, highest=highest)
     deviations = None
     if answer.uncertainty is not None:
-        given = (answer.model, answer.uncertainty)
-        vibration["identified"] = add_deviation(vibration["identified"], points, identified, unseen, *given)
-        deviations = deviate_modes(modes, points, identified, *given)
+        about = (points, identified)
+        vibration["identified"] = add_deviation(vibration["identified"], *about, unseen, answer.uncertainty)
+        deviations = deviate_modes(modes, *about, answer.uncertainty)
     shown = read_modes(stated.dataset, stated.deviation, modes)
     behaviour["identified"] = Behaviour(modes, deviations, shown)
     return Twin(systems, vibration, behaviour, at, operating)

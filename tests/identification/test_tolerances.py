@@ -79,5 +79,5 @@ def test_wider_tolerances_move_in_proportion_where_the_readings_tell_nothing(sha
         found = fit(replace(measurement, tolerances=(one,)), SETUP)
         assert found.uncertainty is not None
         covariance = found.uncertainty.unfitted.covariance()
-        parts.append(found.uncertainty.deviation(found.model, SPEEDS, covariance=covariance)[:, 0, [0, 3]])
+        parts.append(found.uncertainty.deviation(SPEEDS, covariance=covariance)[:, 0, [0, 3]])
     np.testing.assert_allclose(parts[1], share * parts[0], rtol=1e-3)

@@ -120,7 +120,7 @@ def test_modes_at_a_temperature_that_was_not_measured_lie_within_their_deviation
     there = replace(measurement, known=table_at(measurement.known, {"oil_temperature": 72.0 + 273.15}, KEY))
     table = found.table(there.known)
     modes = find_modes(there.rotor, table)
-    deviations = deviate_modes(modes, there, table, found.model, found.uncertainty)
+    deviations = deviate_modes(modes, there, table, found.uncertainty)
     true = find_modes(there.rotor, warm_bearings(table.speeds, np.full(len(SPEEDS), 72.0)))
     known = np.isfinite(modes.frequency) & np.isfinite(true.frequency) & (deviations.frequency > 0)
     assert known.any(axis=1).all()

@@ -32,7 +32,7 @@ def test_critical_speeds_above_the_data_lie_within_their_deviations() -> None:
     fit = fit_output_error(measurement, setup_of(composed(*FITTED)))
     uncertainty = measure_uncertainty(fit, output_error_quality(fit))
     at_fit = measurement.update(uncertainty.parameters)
-    found = expect_criticals(at_fit, fit.identified, uncertainty, ABOVE)
+    found = expect_criticals(at_fit, uncertainty, ABOVE)
     bearings = BearingTable((0, 5), ABOVE, np.repeat(rig.bearings.values[:, :1], len(ABOVE), axis=1))
     true = find_critical_speeds(find_modes(measurement.update(off).updated_rotor, bearings))
     assert len(found) == len(true) > 0
@@ -44,7 +44,7 @@ def test_critical_speeds_above_the_data_lie_within_their_deviations() -> None:
     assert abs(stated[0].speed - true[0].speed) > 2 * found[0][1][0]  # what was stated would have been refused
     tilted = replace(at_fit.known, values=at_fit.known.values + np.array([0.0, 1e4])[None, :, None])
     with pytest.raises(ConfigError, match="do not depend on the speed"):
-        expect_criticals(replace(at_fit, known=tilted), fit.identified, uncertainty, ABOVE)
+        expect_criticals(replace(at_fit, known=tilted), uncertainty, ABOVE)
     network = replace(fit.identified, model=replace(fit.identified.model, hidden=(4,)))
     with pytest.raises(ConfigError, match="model=constant"):
-        expect_criticals(at_fit, network, uncertainty, ABOVE)
+        expect_criticals(at_fit, replace(uncertainty, identified=network), ABOVE)

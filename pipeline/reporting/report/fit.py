@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.data.operating import name_state, split_states
+from pipeline.data.operating import name_state, space_evenly, split_states
 from pipeline.reporting.blocks import (
     GREEN,
     LOOKS,
@@ -37,7 +37,6 @@ from pipeline.reporting.coefficient_figures import (
     draw_bearing,
     draw_state_panels,
     list_states,
-    space_evenly,
 )
 from pipeline.reporting.content import FitContent, ReportContent
 from pipeline.reporting.fit_tables import list_parameters
@@ -128,7 +127,7 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
     """The identified coefficients of a state at a few speeds; constants once."""
     places = [(b, name, COEFFICIENTS.index(name)) for b, names in enumerate(shown.unknowns) for name in names]
     constant = all(np.ptp(shown.identified.values[b, :, c]) == 0 for b, _, c in places)
-    at = [0] if constant else space_evenly(len(shown.rpm), _ROWS)
+    at = np.array([0]) if constant else space_evenly(len(shown.rpm), _ROWS)
     rows = []
     for b, name, c in places:
         scale, unit = UNITS[name[0]]
