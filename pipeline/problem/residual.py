@@ -24,7 +24,7 @@ from pipeline.coefficients import COEFFICIENTS, column, is_stiffness, row
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset, assemble_forces, group_runs
 from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.dynamic_stiffness import apply, banded, solve
+from pipeline.rotor.dynamic_stiffness import apply, banded, multiply, solve
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.unknowns import UnknownSet
 
@@ -68,7 +68,7 @@ def bearing_equations(rotor: RotorModel, dataset: VibrationDataset) -> BearingEq
                     "The residual needs x and y measured at every bearing, but "
                     f"{direction} of node {node} is missing in the vibration data: loss=response takes any sensors"
                 )
-    displacement = resolution @ dataset.displacement
+    displacement = multiply(resolution, dataset.displacement)
     speeds = dataset.speeds
     forces = assemble_forces(rotor, dataset.excitations, dataset.runs, dataset.frequencies)
     forces = forces * dataset.present[:, None]  # where a run was not measured, its equations say nothing: 0 = 0

@@ -150,13 +150,8 @@ def apply(
 
     The matrices are sparse: the cost grows with what couples, not with the square of the nodes.
     """
-    from scipy.sparse import csr_array
-
-    flat, places = np.moveaxis(x, 1, 0).reshape(len(columns), -1), np.ix_(rows, columns)
-    mass, damping, gyroscopic, stiffness = (
-        np.moveaxis((csr_array(matrix[places]) @ flat).reshape(len(rows), len(x), -1), 0, 1)
-        for matrix in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)
-    )
+    parts = [a[np.ix_(rows, columns)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
+    mass, damping, gyroscopic, stiffness = np.split(multiply(np.concatenate(parts), x), len(parts), axis=1)
     w, speed = frequencies[:, None, None], speeds[:, None, None]
     product = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
     at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
@@ -164,6 +159,14 @@ def apply(
     for t, i, j in np.argwhere((at_rows[:, :, None] >= 0) & (at_columns[:, None] >= 0)):
         product[:, at_rows[t, i]] += seals[t, :, i, j, None] * x[:, at_columns[t, j]]
     return np.asarray(product)
+
+
+def multiply(matrix: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """``matrix @ x``, (S, rows, R) from ``x`` (S, columns, R), at the cost of the entries that are not zero."""
+    from scipy.sparse import csr_array
+
+    flat = np.moveaxis(x, 1, 0).reshape(len(x[0]), -1)
+    return np.moveaxis((csr_array(matrix) @ flat).reshape(len(matrix), len(x), -1), 0, 1)
 
 
 def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

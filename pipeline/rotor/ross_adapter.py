@@ -19,16 +19,17 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError, name_beside, nearest
+from pipeline.files import hash_file
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, Operating, flatten
 from pipeline.rotor.model import COLUMNS, NO_SEALS, RotorModel, Seals
@@ -60,19 +61,17 @@ def assemble(config: RotorConfig) -> RotorModel:
     Raises ConfigError where ``config.file`` can't be read.
     """
     rotor = make_rotor(config)
-    lateral = np.array([rotor.number_dof * node + dof for node in range(len(rotor.nodes)) for dof in _LATERAL])
     last, stands = len(rotor.nodes) - 1, find_stands(rotor)
-    beside = {*map(id, rotor.bearing_elements), *(id(mass) for mass in rotor.point_mass_elements if mass.n > last)}
-    without_bearings = [element for element in rotor.elements if id(element) not in beside]
-    mass, damping, gyroscopic, stiffness = _sum_elements(rotor, without_bearings, lateral)
-    shaft_mass, _, shaft_gyroscopic, _ = _sum_elements(rotor, rotor.shaft_elements, lateral)
+    on_shaft = [*rotor.disk_elements, *(mass for mass in rotor.point_mass_elements if mass.n <= last)]
+    shaft = _sum_elements(len(rotor.nodes), rotor.shaft_elements)
+    mass, damping, gyroscopic, stiffness = shaft + _sum_elements(len(rotor.nodes), on_shaft)
     return RotorModel(
         mass=mass,
         damping=damping,
         gyroscopic=gyroscopic,
         stiffness=stiffness,
-        shaft_mass=shaft_mass,
-        shaft_gyroscopic=shaft_gyroscopic,
+        shaft_mass=shaft[0],
+        shaft_gyroscopic=shaft[2],
         positions=np.array(rotor.nodes_pos, dtype=float),
         bearing_nodes=_find_bearings(config, rotor),
         disc_nodes=tuple(int(disc.n) for disc in rotor.disk_elements),
@@ -82,17 +81,16 @@ def assemble(config: RotorConfig) -> RotorModel:
     )
 
 
-def _sum_elements(rotor: Any, elements: Sequence[Any], lateral: np.ndarray) -> list[np.ndarray]:
-    """M, C, G, K of the ``elements`` at the ``lateral`` DOF, summed in the rotor's own order.
+def _sum_elements(n_nodes: int, elements: Sequence[Any]) -> np.ndarray:
+    """M, C, G, K of the ``elements`` of a shaft at its lateral DOF, (4, 4 ``n_nodes``, 4 ``n_nodes``), in their order.
 
     ROSS sums them in the order of a set, which changes from process to process, and with it their last bits.
     """
-    sums = [np.zeros((rotor.ndof, rotor.ndof)) for _ in range(4)]
+    total, lateral = np.zeros((4, 6 * n_nodes, 6 * n_nodes)), np.add.outer(6 * np.arange(n_nodes), _LATERAL).ravel()
     for element in elements:
-        where = np.ix_(*[list(element.dof_global_index.values())] * 2)
-        for total, matrix in zip(sums, (element.M(), element.C(), element.G(), element.K()), strict=True):
-            total[where] += matrix
-    return [matrix[np.ix_(lateral, lateral)] for matrix in sums]
+        places = 6 * element.n + np.array(list(element.dof_mapping().values()))
+        total[:, places[:, None], places] += [element.M(), element.C(), element.G(), element.K()]
+    return total[:, lateral[:, None], lateral]
 
 
 def bearing_table(
@@ -121,9 +119,14 @@ def bearing_table(
 
 
 def make_rotor(config: RotorConfig) -> Any:
-    """ROSS's own rotor without bearings, or as its file has it. Raises ConfigError for a file that can't be read."""
+    """ROSS's elements of a rotor, and what they sum to: its own rotor where a file has one, which it checks.
+
+    Without a file the names of ROSS's rotor are there, but not its tables of pandas: 1 s for 200 elements.
+
+    Raises ConfigError for a file that can't be read.
+    """
     if config.file:
-        return read_rotor_file(Path(config.file))
+        return read_rotor_file(Path(config.file), hash_file(Path(config.file)))
     rs = ross()
     if not config.material:
         raise ConfigError("machine.rotor.material must be given for a rotor without machine.rotor.file")
@@ -133,8 +136,10 @@ def make_rotor(config: RotorConfig) -> Any:
         E=config.material.youngs_modulus,
         G_s=config.material.shear_modulus,
     )
+    nodes = itertools.count()
     shaft = [
         rs.ShaftElement(
+            n=next(nodes),
             L=segment.length / segment.elements,
             idl=segment.inner_diameter,
             odl=segment.outer_diameter + i * rise,
@@ -155,7 +160,15 @@ def make_rotor(config: RotorConfig) -> Any:
         )
         for disc in config.discs
     ]
-    return rs.Rotor(shaft, discs)
+    return SimpleNamespace(
+        shaft_elements=shaft,
+        disk_elements=discs,
+        bearing_elements=[],
+        point_mass_elements=[],
+        nodes=range(len(shaft) + 1),
+        nodes_pos=np.cumsum([0.0, *(element.L for element in shaft)]),
+        m=np.sum([disc.m for disc in discs]) + np.sum([element.m for element in shaft]),
+    )
 
 
 def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
@@ -170,8 +183,9 @@ def _find_bearings(config: RotorConfig, rotor: Any) -> tuple[int, ...]:
     return config.bearing_nodes
 
 
-def read_rotor_file(file: Path) -> Any:
-    """ROSS's rotor of a file that it saved (.toml, .json), read element by element.
+@lru_cache(maxsize=1)
+def read_rotor_file(file: Path, _: str) -> Any:
+    """ROSS's rotor of a file that it saved (.toml, .json), read element by element, once while its hash stays.
 
     Its own loader knows half of its classes only, and solves the oil film of some again, though the file has the
     coefficients.
@@ -268,8 +282,7 @@ class Stand:
         total = np.zeros((len(nodes), 2, len(nodes), 2), dtype=complex)
         for element in self.elements:
             whole = element.K(w) + 1j * w * element.C(w) - w**2 * element.M(w)
-            ends = [nodes.index(int(element.n))]
-            ends += [nodes.index(int(element.n_link))] if element.n_link is not None else []
+            ends = [nodes.index(int(end)) for end in (element.n, element.n_link) if end is not None]
             for i, a in enumerate(ends):
                 for j, b in enumerate(ends):
                     total[a, :, b] += whole[3 * i : 3 * i + 2, 3 * j : 3 * j + 2]
