@@ -21,7 +21,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1719,
+    "config": 1734,
     "laws": 482,
     "rotor": 735,
     "data": 1056,
@@ -40,7 +40,7 @@ STATEMENTS = {
     "tuning": 489,
     "reporting": 2511,
     "tracking": 351,
-    "stages": 1118,
+    "stages": 1109,
     "beside the rooms": 573,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
@@ -53,7 +53,7 @@ BUDGETS = {
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13280, 13000),
+    "statements of tests/": (13325, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (759, 380),
     "their files": (111, 75),

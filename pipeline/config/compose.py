@@ -283,7 +283,8 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
         more += ["model=constant"] if recordings.get("format") == "exciter" else []  # at a speed or two
         return [f"experiment={DEFAULTS}{option}_measured", *more]
     noise = {key: probes.get(key) for key in ("additive", "multiplicative")}
-    stated = noise if any(map(_is_noise, noise.values())) else {}
+    listed = [probe.get("floor") for probe in probes.get("at") or () if isinstance(probe, Mapping)]
+    stated = noise if any(map(_is_noise, [*noise.values(), *listed])) else {}
     return [f"experiment={DEFAULTS}{option}", *(f"stated_noise.{key}={value}" for key, value in stated.items())]
 
 

@@ -9,9 +9,18 @@ from typing import Any, Literal
 from pydantic import Field, NonNegativeFloat, ValidationInfo, field_validator
 
 from pipeline.config.balance import WeightsConfig
+from pipeline.config.motion import find_floor
 from pipeline.config.operating import Conditions, States
 from pipeline.config.rotor import RotorConfig
-from pipeline.config.runs import CandidateConfig, ForceConfig, ProbesConfig, RunConfig, SpeedsConfig, UnbalanceConfig
+from pipeline.config.runs import (
+    CandidateConfig,
+    ForceConfig,
+    ProbeConfig,
+    ProbesConfig,
+    RunConfig,
+    SpeedsConfig,
+    UnbalanceConfig,
+)
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.ingest.dataset import RecordingsConfig
 from pipeline.ingest.run_up import RunUpConfig
@@ -168,6 +177,16 @@ class MachineConfig(Section):
     _runs = _follow("runs", "recordings", _record_runs, [_ANY_RUN])
     _candidates = _follow("candidates", "runs", _weigh, _weigh([_ANY_RUN]))
 
+    @property
+    def listed_probes(self) -> tuple[ProbeConfig, ...]:
+        """The probes that say where they are: those of recordings, or else simulated ones."""
+        return tuple(self.recordings.probes.values()) or self.probes.listed
+
+    @property
+    def floors(self) -> tuple[str, ...]:
+        """The floors of probes above zero, each once."""
+        return tuple(dict.fromkeys(probe.floor for probe in self.listed_probes if any(find_floor(probe.floor))))
+
     @field_validator("prediction", mode="before")
     @classmethod
     def _unseen_unbalance(cls, value: Any, info: ValidationInfo) -> Any:
@@ -236,8 +255,7 @@ class MachineConfig(Section):
         still = [(f"run '{run.name}'", force.node) for run in self.runs for force in run.forces]
         still += [("prediction.node", self.prediction.node)]
         still += [("prediction.forces", force.node) for force in self.prediction.forces]
-        if not isinstance(self.probes.at, str):
-            still += [("probes.at", probe.node) for probe in self.probes.at]
+        still += [("probes.at", probe.node) for probe in self.probes.listed]
         n_nodes = self.rotor.n_nodes  # with casings, which do not turn
         for used, last in ((turning, n_nodes - 1 - self.rotor.n_casings), (still, n_nodes - 1)):
             for what, node in used:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, PositiveFloat
 
 from pipeline.config.messages import suggest
-from pipeline.config.motion import Floor, MotionConfig, Sensitivity, find_volts, to_motion
+from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
 from pipeline.config.quantities import (
     AnyDamping,
@@ -86,13 +86,11 @@ class MeasuredProbeConfig(ProbeConfig):
 
     ``scale`` is its sensitivity, where numbers are voltages. ``mounted`` is what moves the probe of a velocity or an
     acceleration: the shaft (a shaft rider, a laser), or the casing beside a bearing. ``measures`` is what it shows at a
-    bearing that has a support, whose casing moves. ``floor`` is noise beside ``stated_noise``, constant in what the
-    probe measures: a length, a velocity or an acceleration, root mean square of a complex reading.
+    bearing that has a support, whose casing moves.
     """
 
     angle: ShaftAngle
     scale: Sensitivity | None = None
-    floor: Floor = "0 um"
     mounted: Literal["shaft", "casing"] | None = None
 
 

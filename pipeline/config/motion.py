@@ -69,12 +69,12 @@ def _find_sensitivity(scale: str) -> tuple[int, float]:
     raise ValueError(f"must be a voltage per length, velocity or acceleration (such as {_SCALES}), but got {scale!r}")
 
 
-def find_floor(value: Any) -> tuple[int, float]:
-    """Order k, and size in m/s^k, of a noise floor such as ``0.1 m/s^2``. Raises ValueError."""
+def find_floor(value: Any) -> list[float]:
+    """m, m/s and m/s^2 of a noise floor such as ``0.1 m/s^2``: one of them, the others are zero. Raises ValueError."""
     floor = None if is_number(str(value)) else _find_order(str(value), _SI)
     if not floor or floor[1] < 0:
         raise ValueError(f"must be a size in the probe's own quantity (such as 0.1 m/s^2 or 2 um), but got {value!r}")
-    return floor
+    return [floor[1] * (floor[0] == order) for order in range(len(_SI))]
 
 
 def _check_scale(value: Any) -> str:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
+from pipeline.config.motion import Floor
 from pipeline.config.operating import States
 from pipeline.config.quantities import Angle, Deviation, Force, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Section, Share, ascending, rule
@@ -94,7 +95,8 @@ class NoiseConfig(Section):
     """Root mean square of the noise of each measured complex displacement: ``additive``, and a share of its size.
 
     ``drift`` is that of a condition's records together, where the conditions are too few to estimate it. ``record`` is
-    the share by which all readings of a run at a speed are too large or too small together.
+    the share by which all readings of a run at a speed are too large or too small together. Probes may have a floor of
+    their own beside it.
     """
 
     additive: Deviation
@@ -102,22 +104,22 @@ class NoiseConfig(Section):
     drift: Deviation = 0.0
     record: Share = 0.0
 
-    @rule
-    def _some(self) -> Iterator[str]:
-        if not self.additive and not self.multiplicative:
-            yield "must have an additive or a multiplicative part above zero, but both are zero"
-
 
 Measures = Literal["shaft", "casing", "shaft relative to casing"]
 """What a probe shows at the node of a bearing that has a support."""
 
 
 class ProbeConfig(Section):
-    """A displacement probe at a node; its angle is measured from x towards y (two at 45 and 135 degrees are usual)."""
+    """A probe at a node; its angle is measured from x towards y (two at 45 and 135 degrees are usual).
+
+    ``floor`` is noise beside the others, constant in what the probe measures: a length, a velocity or an acceleration,
+    root mean square of a complex reading.
+    """
 
     node: NonNegativeInt
     angle: Angle
     measures: Measures = "shaft"
+    floor: Floor = "0 um"
 
 
 class ProbesConfig(Section):
@@ -137,6 +139,11 @@ class ProbesConfig(Section):
     quantisation: Deviation
     slow_roll_readings: Annotated[int, Field(ge=0, le=1000)]
     seed: NonNegativeInt
+
+    @property
+    def listed(self) -> tuple[ProbeConfig, ...]:
+        """Those that are given one by one; none where a word stands for them."""
+        return () if isinstance(self.at, str) else self.at
 
 
 class CandidateConfig(Section):

@@ -140,6 +140,25 @@ class Config(Section):
         """The overrides that name this experiment in another command."""
         return self.chosen_by or f"experiment={self.name}"
 
+    def describe_noise(self) -> str:
+        """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
+        if self.machine.recordings.by_frequency:
+            return "the noise of the averages"
+        noise, floors = self.stated_noise, " or ".join(self.machine.floors)
+        parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
+        parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []
+        stated = " and ".join([*parts, floors] if floors else parts) + " noise"
+        levels = "the noise of the conditions (where they are too few to tell it, "
+        return f"{levels}{stated})" if self.machine.recordings.planes else stated
+
+    @rule
+    def _has_noise(self) -> Iterator[str]:
+        if not (self.stated_noise.additive or self.stated_noise.multiplicative or self.machine.floors):
+            yield (
+                "stated_noise must have an additive or a multiplicative part above zero, or a probe a floor, but there "
+                "is none"
+            )
+
     @rule
     def _fits_its_loss(self) -> Iterator[str]:
         if self.loss.kind == "response" and self.stage == "robustness" and self.robustness.over != "refit":

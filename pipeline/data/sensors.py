@@ -12,6 +12,11 @@ from pipeline.data.simulate import add_noise
 
 NOMINAL_95 = 1.959964
 """Standard deviations to either side of a normal value, within which 95 of 100 lie."""
+Floors = tuple[tuple[float, ...], ...]
+"""m, m/s and m/s^2 of each channel: noise that is constant in a displacement, a velocity, and an acceleration."""
+NO_FLOOR = (0.0, 0.0, 0.0)
+FLOORS = (("additive_um", "um", 1e6), ("floor_mm_s", "mm/s", 1e3), ("floor_m_s2", "m/s^2", 1.0))
+"""How summaries name them: key, unit and the factor of it."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,7 @@ class NoiseModel:
     multiplicative: float  # share of the reading, root mean square
     drift: float = 0.0  # m, root mean square, of the records of a condition together where nothing estimates it
     record: float = 0.0  # standard deviation of a factor that all readings of a run at a speed share
-    floors: tuple[tuple[int, float], ...] = ()  # order k and size in m/s^k of each channel beside additive; none: 0
+    floors: Floors = ()  # of each channel beside additive; none: 0
 
     def with_drift(self) -> NoiseModel:
         """The noise of conditions that are too few to tell their drift: it counts as noise of each reading."""
@@ -32,21 +37,37 @@ class NoiseModel:
         """That of the ``kept`` channels (indices) alone."""
         return replace(self, floors=tuple(self.floors[p] for p in kept if self.floors))
 
-    def reshaped(self, ratio: float, readings: np.ndarray) -> NoiseModel:
-        """The noise whose floor is ``ratio`` times as large beside the share, as large as this over the ``readings`` m:
-        in the mean of the deviations' logarithms.
+    @property
+    def floored(self) -> bool:
+        """Whether a part of it is constant."""
+        return self.additive > 0 or bool(np.any(self.floors))
+
+    @property
+    def largest_floor(self) -> np.ndarray:
+        """(3,) m, m/s and m/s^2, its constant part; of the channel whose floor is largest."""
+        return np.hypot([self.additive, 0.0, 0.0], np.max(self.floors or [NO_FLOOR], axis=0))
+
+    def with_floor(self, ratio: float) -> NoiseModel:
+        """That whose floors are ``ratio`` times as large."""
+        floors = tuple(map(tuple, (ratio * np.array(self.floors)).tolist()))
+        return replace(self, additive=ratio * self.additive, floors=floors)
+
+    def reshaped(self, ratio: float, readings: np.ndarray, beside: np.ndarray) -> NoiseModel:
+        """The noise whose floors are ``ratio`` times as large beside the share, as large as this over the ``readings``
+        m with their own floors ``beside``: in the mean of the deviations' logarithms.
         """
-        other = replace(self, additive=self.additive * ratio)
-        size = float(np.exp(np.mean(np.log(self.deviation(readings) / other.deviation(readings)))))
-        return replace(other, additive=other.additive * size, multiplicative=self.multiplicative * size)
+        other = self.with_floor(ratio).deviation(readings, beside=ratio * beside)
+        size = float(np.exp(np.mean(np.log(self.deviation(readings, beside=beside) / other))))
+        return replace(self.with_floor(ratio * size), multiplicative=self.multiplicative * size)
 
     def floor_at(self, frequencies: np.ndarray) -> np.ndarray:
         """(S, P or 1, R) m, the own floor of each channel at the ``frequencies`` (S, R) rad/s.
 
         Noise a of what a probe measures, U = (j w)^k V, is a / w^k of the displacement V.
         """
-        orders, sizes = np.array(self.floors or [(0, 0.0)]).T[..., None]
-        return np.asarray(sizes / frequencies[:, None] ** orders)
+        sizes, w = np.array(self.floors or [NO_FLOOR]), frequencies[:, None]
+        squares = [(sizes[:, k, None] / w**k) ** 2 for k in np.flatnonzero(sizes.any(axis=0))]
+        return np.asarray(np.sqrt(sum(squares, np.zeros_like(w))))
 
     def deviation(
         self, displacement: np.ndarray, subtracted: np.ndarray | float = 0.0, beside: np.ndarray | float = 0.0
@@ -74,6 +95,7 @@ class Sensors:
     runout: float = 0.0
     quantisation: float = 0.0
     slow_roll_readings: int = 0  # how many the runout is taken from, which is then subtracted
+    floors: Floors = ()  # as those of a noise model
 
 
 def name_channel(node: int, angle: float) -> tuple[int, float]:
@@ -97,9 +119,10 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     """Return what the sensors read from a data set with x and y at every node."""
     seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
-    noise = NoiseModel(sensors.additive, sensors.multiplicative)
-    if sensors.additive or sensors.multiplicative:
-        seen = add_noise(seen, noise.deviation(seen.displacement), generator)
+    noise = NoiseModel(sensors.additive, sensors.multiplicative, floors=sensors.floors)
+    floors = noise.floor_at(seen.frequencies)
+    if noise.floored or noise.multiplicative:
+        seen = add_noise(seen, noise.deviation(seen.displacement, beside=floors), generator)
     turns = synchronous(seen.frequencies, seen.speeds[:, None])[:, None]
     runout = np.zeros(len(seen.channels), dtype=complex)
     if sensors.runout:
@@ -107,7 +130,8 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     readings = _quantise(seen.displacement + runout[:, None] * turns, sensors.quantisation)
     if sensors.slow_roll_readings:  # without weights or shaker, so slowly that nothing vibrates: their mean
         parts = generator.standard_normal((2, sensors.slow_roll_readings, len(runout))) / np.sqrt(2.0)
-        deviation = noise.deviation(runout)
+        # No lower speed than the first is stated.
+        deviation = noise.deviation(runout, beside=floors[0, :, 0])
         slow = _quantise(runout + deviation * (parts[0] + 1j * parts[1]), sensors.quantisation).mean(axis=0)
         readings = readings - slow[:, None] * turns
     return replace(seen, displacement=readings)

@@ -176,6 +176,7 @@ def answer_of(measurement: Measurement, model: IdentifiedModel, uncertainty: Unc
     """The answer of a fit to ``measurement``, which is as it was stated before."""
     if uncertainty is None:
         return Answer(measurement, model, uncertainty)
-    floor, share = map(float, uncertainty.noise)
-    noise = replace(measurement.noise, additive=floor, multiplicative=share)
+    floor, share = map(float, uncertainty.noise[:2])
+    floors = tuple(map(tuple, uncertainty.noise[2:].reshape(-1, 3).tolist()))
+    noise = replace(measurement.noise, additive=floor, multiplicative=share, floors=floors)
     return Answer(replace(measurement.update(uncertainty.parameters), noise=noise), model, uncertainty)

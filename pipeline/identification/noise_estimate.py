@@ -40,14 +40,15 @@ def reshape_noise(
     """
     measurement, predicted = problem.measurement, problem.predicted(weights)
     noise, data = measurement.noise, measurement.dataset
-    told = noise.additive and noise.multiplicative and not measurement.drift and not data.noise.any()
+    told = noise.floored and noise.multiplicative and not measurement.drift and not data.noise.any()
     if not told or _leave_over(problem, weights)[1] < small:
         return problem
     stated = replace(problem, readings=problem.readings.follow(predicted))
     if not _leave_over(stated, weights)[1] < large:
         return problem
-    read = (data.displacement + measurement.baseline).swapaxes(1, 2)[data.present]
-    others = [problem.with_noise(noise.reshaped(ratio, read), predicted, factor) for ratio in tried]
+    both = np.broadcast_arrays(data.displacement + measurement.baseline, noise.floor_at(data.frequencies))
+    read, floors = (every.swapaxes(1, 2)[data.present] for every in both)
+    others = [problem.with_noise(noise.reshaped(ratio, read, floors), predicted, factor) for ratio in tried]
     criteria = []
     for other in others:
         columns = other.correlated(0.0).columns_of_blocks(weights)

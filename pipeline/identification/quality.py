@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.data.dataset import name_direction
+from pipeline.data.sensors import FLOORS
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.noise_estimate import autocorrelation, measure_whiteness
 from pipeline.identification.output_error_fit import OutputErrorFit
@@ -128,10 +129,9 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         }
         noise, size = fit.problem.measurement.noise, float(np.median(fit.factor))
         if not fit.problem.measurement.dataset.noise.any():
-            summary["noise"] = {
-                "additive_um": 1e6 * size * noise.additive,
-                "multiplicative": size * noise.multiplicative,
-            }
+            floors = zip(FLOORS, (size * noise.largest_floor).tolist(), strict=True)
+            parts = {key: scale * floor for (key, _, scale), floor in floors if floor}
+            summary["noise"] = parts | {"multiplicative": size * noise.multiplicative}
     return Quality({"fit": summary}, bad, measure_inflation(summary, estimated and not repeated))
 
 

@@ -53,7 +53,7 @@ class Uncertainty:
     residual_unbalance: np.ndarray  # (N,) complex, kg m
     planes: np.ndarray  # (N,) nodes
     as_found: np.ndarray  # complex, kg m at each node, what the baseline shows; empty where no bearing drifts
-    noise: np.ndarray  # (2,) floor of a reading, m, and share of it, before a channel's factor
+    noise: np.ndarray  # floor of a reading, m, share of it, and floors of P channels, before a channel's factor
     plane_scale: float  # kg m of a weight of 1
     parameters: np.ndarray  # (T,) model parameters, in prior deviations
     n_local: int  # L
@@ -190,6 +190,7 @@ def _state(
     n_local: int,
     unfitted: Unfitted,
 ) -> Uncertainty:
+    noise = problem.measurement.noise
     return Uncertainty(
         identified,
         problem.basis.weights.numpy(),
@@ -199,7 +200,7 @@ def _state(
         np.asarray(problem.unbalance(weights)[0].numpy()),
         np.array(problem.measurement.unknowns.planes, dtype=np.int64),
         np.array(problem.measurement.as_found, dtype=complex),
-        np.array([problem.measurement.noise.additive, problem.measurement.noise.multiplicative]),
+        np.array([noise.additive, noise.multiplicative, *np.ravel(noise.floors)]),
         problem.plane_scale,
         problem.model_parameters(weights)[0].numpy(),
         n_local,

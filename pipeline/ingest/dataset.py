@@ -18,8 +18,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, NoRecordingsConfig, SlowRollConfig
-from pipeline.config.runs import find_frequencies
+from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
+from pipeline.config.runs import ProbeConfig, find_frequencies
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
@@ -85,7 +85,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     ]
     wanted = config.speeds.rad_s() if config.speeds else None
     speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
-    channels, displacement, misfits = resolve(config.probes, vectors)
+    channels, displacement, misfits = resolve([*config.probes.values()], vectors)
     _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
@@ -127,7 +127,7 @@ def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -
     rpm, at_speed = np.unique([test.run.speed_rpm for test in tests], return_inverse=True)
     lines = [(t, hz) for t, test in enumerate(tests) for hz in test.frequencies]
     names = [f"{tests[t].run.name} {write_number(hz, digits=8)} Hz" for t, hz in lines]
-    channels, shares, _ = resolve(config.probes, np.eye(len(config.probes))[..., None])  # (P, Q, 1)
+    channels, shares, _ = resolve([*config.probes.values()], np.eye(len(config.probes))[..., None])  # (P, Q, 1)
     where, rows = at_speed[[t for t, _ in lines]], np.arange(len(lines))
     displacement = np.zeros((len(rpm), len(channels), len(lines)), dtype=complex)
     noise = np.zeros(displacement.shape)
@@ -209,7 +209,7 @@ def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
 
 
 def resolve(
-    probes: Mapping[str, MeasuredProbeConfig], vectors: np.ndarray, least_spread: float = np.radians(10.0)
+    probes: Sequence[ProbeConfig], vectors: np.ndarray, least_spread: float = np.radians(10.0)
 ) -> tuple[tuple[tuple[int, float], ...], np.ndarray, dict[int, float]]:
     """What the probes tell of every node, of their ``vectors`` (S, P, R) in this order.
 
@@ -221,8 +221,8 @@ def resolve(
         complex, m; by node the root mean square of what the probes contradict each other over that of their vectors, 0
         where no probe is more than what tells its node.
     """
-    place = np.array([probe.node for probe in probes.values()])
-    angles = np.array([probe.angle for probe in probes.values()])
+    place = np.array([probe.node for probe in probes])
+    angles = np.array([probe.angle for probe in probes])
     channels: list[tuple[int, float]] = []
     parts, misfit = [], {}
     for node in np.unique(place).tolist():

@@ -21,9 +21,19 @@ from pipeline.data.conditions import gather_conditions
 from pipeline.data.dataset import Excitation, VibrationDataset, require_synchronous
 from pipeline.data.excitation_files import run_excitations
 from pipeline.data.operating import Operating, group_rows, spread_states
-from pipeline.data.sensors import Channels, NoiseModel, Sensors, list_directions, measure, name_channel
+from pipeline.data.sensors import (
+    NO_FLOOR,
+    Channels,
+    Floors,
+    NoiseModel,
+    Sensors,
+    list_directions,
+    measure,
+    name_channel,
+)
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
+from pipeline.ingest.dataset import resolve
 from pipeline.laws.law_set import NO_LAWS, make_laws
 from pipeline.parameters.as_built import build_rotor, misplace_probes, simulate_as_built
 from pipeline.parameters.model import ALWAYS_FITTED, model_parameters, usual_tolerances
@@ -162,8 +172,30 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
     elif spec.at != "all":
         channels = tuple(name_channel(place_probe(rotor, "machine.probes.at", probe), probe.angle) for probe in spec.at)
     return Sensors(
-        channels, spec.additive, spec.multiplicative, spec.runout, spec.quantisation, spec.slow_roll_readings
+        channels,
+        spec.additive,
+        spec.multiplicative,
+        spec.runout,
+        spec.quantisation,
+        spec.slow_roll_readings,
+        _state_floors(config, rotor, channels or ()),
     )
+
+
+def _state_floors(config: Config, rotor: RotorModel, channels: Channels) -> Floors:
+    """The floor of each channel: that of its probe, or of x and y what the probes give them that tell them together."""
+    if not config.machine.floors:
+        return ()
+    placed = [
+        probe.model_copy(update={"node": place_probe(rotor, "a probe with a floor", probe)})
+        for probe in config.machine.listed_probes
+    ]
+    squares = np.array([find_floor(probe.floor) for probe in placed]) ** 2
+    told, shares, _ = resolve(placed, np.eye(len(placed))[..., None])  # (P, Q, 1)
+    named = [*told, *(name_channel(probe.node, probe.angle) for probe in placed)]
+    sizes = np.sqrt(np.concatenate([shares[..., 0].T ** 2 @ squares, squares]))
+    floors = dict(zip(named, map(tuple, sizes.tolist()), strict=True))
+    return tuple(floors.get((node, round(angle, 9)), NO_FLOOR) for node, angle in channels)
 
 
 def configure_frequencies(config: Config, speeds: np.ndarray) -> np.ndarray | None:
@@ -183,12 +215,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
             "stated_noise.record must be 0 where a baseline is subtracted, since a reading and its baseline are of two "
             f"records, but got {noise.record:g}: leave out data.baseline (identify.unbalance_planes), or record"
         )
-    laws = config.machine.laws
-    stated_floors = {
-        name_channel(place_probe(rotor, f"machine.recordings.probes.{name}", probe), probe.angle): probe.floor
-        for name, probe in config.machine.recordings.probes.items()
-    }
-    floors = tuple(find_floor(stated_floors.get((node, round(angle, 9)), "0 um")) for node, angle in dataset.channels)
+    laws, floors = config.machine.laws, _state_floors(config, rotor, dataset.channels)
     stated, drift = NoiseModel(noise.additive, noise.multiplicative, noise.drift, noise.record, floors), NO_LEVELS
     if dataset.conditions is not None:
         conditions = gather_conditions(dataset)

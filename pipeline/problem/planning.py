@@ -123,8 +123,8 @@ def _try_cures(planner: Planner, plan: Measurement) -> dict[str, float]:
         f"all {len(allowed)} candidate runs": worst(plan, len(allowed)),
         "weights and forces twice as large": worst(planner.measure(double)[0]),
     }
-    if plan.noise.additive and plan.noise.multiplicative:
-        cures["probes without a floor"] = worst(replace(plan, noise=replace(plan.noise, additive=0.0)))
+    if plan.noise.floored and plan.noise.multiplicative:
+        cures["probes without a floor"] = worst(replace(plan, noise=plan.noise.with_floor(0.0)))
     if plan.parameters:
         cures["a model that is known exactly"] = worst(replace(plan, parameters=()))
     if not (can.force_nodes and "backward" in can.whirls):

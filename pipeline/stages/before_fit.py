@@ -88,22 +88,10 @@ def say_diagnosis(analysis: Analysis) -> None:
             members = [coefficient for coefficient in judged if coefficient.node in report.nodes]
             text += (
                 f"; condition number {write_rough(np.median(report.condition))} (worst "
-                f"{write_rough(report.condition.max())}); at {describe_noise(config)}, {expected.of}: "
+                f"{write_rough(report.condition.max())}); at {config.describe_noise()}, {expected.of}: "
                 f"{describe_determined(members)}"
             )
         say(f"{config.name}: {text}")
-
-
-def describe_noise(config: Config) -> str:
-    """The stated noise, such as ``0.1 % noise``, or what takes its place in records of conditions."""
-    if config.machine.recordings.planes:
-        return "the noise of the conditions"
-    if config.machine.recordings.by_frequency:
-        return "the noise of the averages"
-    noise = config.stated_noise
-    parts = [f"{100 * noise.multiplicative:g} %"] if noise.multiplicative else []
-    parts += [f"{1e6 * noise.additive:g} um"] if noise.additive else []
-    return " and ".join(parts) + " noise"
 
 
 def diagnose_laws(analysis: Analysis) -> dict[str, Any]:
@@ -125,7 +113,7 @@ def diagnose_laws(analysis: Analysis) -> dict[str, Any]:
         guess = f"{write_number(number['guess'])} {number['unit']}".strip()
         shown = [number["name"], guess, *(write_rough(column[i]) for column in columns)]
         rows.append([*shown, "" if number["determined"] else "not told by these data"])
-    title = f"numbers of the bearing laws at their guesses, at {describe_noise(config)} (one standard deviation)"
+    title = f"numbers of the bearing laws at their guesses, at {config.describe_noise()} (one standard deviation)"
     table(f"{config.name}: {title}", [*header, ""], rows)
     for sentence in describe_open(information):
         say(f"{config.name}: {sentence}")

@@ -34,7 +34,6 @@ from pipeline.reporting.design_tables import (
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.before_fit import describe_noise
 from pipeline.tracking import StageRecord
 
 
@@ -73,7 +72,7 @@ def _choose_runs(config: Config, rotor: RotorModel) -> Designed:
         generator = np.random.default_rng(config.seed)
         simulated = {name: simulate_deviations(plan, count, generator) for name, plan in plans.items()}
         summary |= {"simulated": _to_json(simulated), "simulated_gain": _compute_gain(simulated)}
-    print_gain(config.name, describe_noise(config), summary, [acting[0].run for acting in chosen])
+    print_gain(config.name, config.describe_noise(), summary, [acting[0].run for acting in chosen])
     return chosen, config.machine.speeds, summary, summary, ""
 
 
@@ -98,7 +97,7 @@ def reach_accuracy(config: Config, rotor: RotorModel) -> Designed:
     best, predicted, cures = reach(planner, accuracy)
     chosen = [planner.allowed[c] for c in best.runs]
     speeds = machine.speeds.model_copy(update={"step_rpm": best.every * machine.speeds.step_rpm})
-    print_reached(config.name, describe_noise(config), accuracy, predicted, cures, chosen, speeds.rpm())
+    print_reached(config.name, config.describe_noise(), accuracy, predicted, cures, chosen, speeds.rpm())
     # A fit refuses tolerances of weights where no run has any.
     weighed = any(weight.kind == "unbalance" for acting in chosen for weight in acting)
     without = "".join(
@@ -124,7 +123,7 @@ def reach_numbers(config: Config, rotor: RotorModel) -> Designed:
     planner, candidates = plan_numbers(config, rotor, laws, states)
     plans = plan_states(candidates, config.design.runs, accuracy)
     best = plans[find_least({i: plan.worst for i, plan in enumerate(plans)})]
-    print_states(config.name, describe_noise(config), candidates, plans, best, states, accuracy)
+    print_states(config.name, config.describe_noise(), candidates, plans, best, states, accuracy)
     summary = summarize_states(candidates, plans, best, states, accuracy)
     overrides = override_states([states[t] for t in best.states])
     return [planner.allowed[c] for c in best.runs], machine.speeds, summary, {"worst": best.worst}, overrides

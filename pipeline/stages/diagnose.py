@@ -26,7 +26,7 @@ from pipeline.reporting.diagnosis import (
     tabulate_diagnosis,
 )
 from pipeline.stages.analysis import Analysis, use_threads
-from pipeline.stages.before_fit import describe_noise, diagnose_laws
+from pipeline.stages.before_fit import diagnose_laws
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking import StageRecord
 from pipeline.twin.twin import plan_twin
@@ -36,7 +36,7 @@ def run(analysis: Analysis) -> StageRecord:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
     use_threads(config)
-    noise, numbers = describe_noise(config), diagnose_laws(analysis)
+    noise, numbers = config.describe_noise(), diagnose_laws(analysis)
     diagnosis = diagnose(analysis)
     try:
         plan_twin(config.machine, measurement)

@@ -27,7 +27,7 @@ from pipeline.reporting.fit_tables import (
     tabulate_unbalance,
 )
 from pipeline.stages.analysis import Analysis, use_threads
-from pipeline.stages.before_fit import describe_noise, say_beforehand
+from pipeline.stages.before_fit import say_beforehand
 from pipeline.stages.measurement import diagnose, expect, prepare
 from pipeline.tracking import StageRecord
 from pipeline.tracking.model import exemplify
@@ -64,7 +64,7 @@ def run(analysis: Analysis) -> StageRecord:
 
 def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
     """Posterior ones, of a loss that states them; else those that were expected."""
-    values, stated = answer.deviation, describe_noise(analysis.config)
+    values, stated = answer.deviation, analysis.config.describe_noise()
     if values is None:
         expected = expect(analysis)
         return replace(expected, of=f"at {stated}, {expected.of}")
@@ -118,8 +118,8 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     if misfit is not None and not misfit.explained() and not misfit.size < FAR_FROM_EXPECTED:
         warn(
             f"{config.name}: the readings lie {write_rough(misfit.distance)} times as far from "
-            "the fit as their noise; state the noise as it is (stated_noise.additive is its floor), or check units, "
-            "conventions, rotor and excitation"
+            "the fit as their noise; state the noise as it is (stated_noise.additive, or a probe's floor, is what "
+            "stays when nothing vibrates), or check units, conventions, rotor and excitation"
         )
     if fitted.outcome in (Outcome.DIVERGED, Outcome.BUDGET_SPENT):
         warn(f"{config.name}: training {fitted.outcome.label}")

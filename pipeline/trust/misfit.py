@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.data.sensors import FLOORS
 from pipeline.identification.quality import FAR_FROM_EXPECTED, MISMATCH
 from pipeline.write_numbers import write_number, write_rough
 
@@ -128,8 +129,9 @@ def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
     drift, runs = "inconsistent_runs" in fit, ", ".join(fit.get("inconsistent_runs", ()))
     levels = "noise and what the model may be off by" if drift else "noise"
     if "noise" in fit:
-        floor, share = fit["noise"]["additive_um"], 100 * fit["noise"]["multiplicative"]
-        levels += f" ({write_number(floor, digits=2)} um and {write_number(share, digits=2)} % of a reading)"
+        parts = [(fit["noise"].get(key, 0.0), unit) for key, unit, _ in FLOORS]
+        parts += [(100 * fit["noise"]["multiplicative"], "% of a reading")]
+        levels += f" ({' and '.join(f'{write_number(size, digits=2)} {unit}' for size, unit in parts if size)})"
     return {
         "distance": f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,7 @@ from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.runs import ProbeConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation, VibrationDataset
-from pipeline.data.sensors import NoiseModel, project
+from pipeline.data.sensors import NoiseModel, Sensors, measure, project
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.errors import ConfigError, DataError
 from pipeline.identification.combinations import combine
@@ -171,6 +173,42 @@ def test_the_diagnosis_names_what_shaft_probes_leave_open_and_casing_probes_tell
     assert set(both) == {parameter.name for parameter in measured().parameters}
     assert max(both.values()) < (0.1, 0.1)
     assert max(shaft.values()) > tuple(2 * left for left in max(both.values()))
+
+
+CASINGS = tuple((node, angle) for node in (9, 10) for angle in DIRECTIONS.values())
+FLOORS = ((0.0, 0.0, 0.02), (0.0, 1e-4, 0.0), (3e-7, 0.0, 0.0), (0.0, 0.0, 0.02))
+"""Of the casings' x and y at both bearings: accelerometers, a velocity probe, and a probe that stands on the ground."""
+
+
+def test_the_noise_of_a_simulated_probe_is_constant_in_what_it_measures() -> None:
+    """(j w)^k V has the stated floor at every speed; the noise model has it over w^k."""
+    speeds = np.linspace(100.0, 700.0, 4000)
+    still = VibrationDataset(speeds, ("a",), CASINGS, np.zeros((4000, 4, 1), dtype=complex), WEIGHTS[:1])
+    drawn = measure(still, Sensors(CASINGS, floors=FLOORS), np.random.default_rng(2)).displacement[..., 0]
+    orders, sizes = np.argmax(FLOORS, axis=1), np.max(FLOORS, axis=1)
+    for half in np.split(np.abs(drawn * speeds[:, None] ** orders) ** 2, 2):
+        assert half.mean(axis=0) == pytest.approx(sizes**2, rel=0.1)
+    told = NoiseModel(0.0, 0.0, floors=FLOORS).floor_at(speeds[:, None])[..., 0]
+    assert told == pytest.approx(sizes / speeds[:, None] ** orders)
+
+
+@pytest.mark.slow
+def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
+    """Floors of accelerometers that are stated a tenth as large as they are come back with the share, and errors of the
+    supports' numbers have the stated deviations (root mean square over four data sets).
+    """
+    noise, off = NoiseModel(0.0, 0.005, floors=((0.0, 0.0, 0.02),) * 8), list[float]()
+    for seed in range(4):
+        made, everywhere = measured(), simulate(load_rotor(config()), films(), WEIGHTS)
+        sensors = Sensors(made.dataset.channels, multiplicative=noise.multiplicative, floors=noise.floors)
+        read = measure(everywhere, sensors, np.random.default_rng(seed))
+        stated = replace(made, dataset=read, noise=noise.with_floor(0.1))
+        answer = fit(stated, default_setup(Guess(1e7, 1e4), constant=True, noise="estimated"))
+        told = answer.quality.summary["fit"]["noise"]
+        assert told == pytest.approx({"floor_m_s2": 0.02, "multiplicative": 0.005}, rel=0.15)
+        _, wrong, deviation = errors(answer)
+        off += (wrong / deviation).tolist()
+    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
 def test_what_supports_cannot_do_is_refused() -> None:

@@ -11,7 +11,11 @@ from running import ROOT
 from soft_base import MACHINE, Predicted, keep, read
 
 from pipeline.config.compose import compose_config
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import NO_FLOOR, list_directions
 from pipeline.errors import ConfigError
+from pipeline.problem.configured import build_measurement, configure_sensors
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 
 RECORDS = MACHINE / "records.csv"
 
@@ -79,3 +83,32 @@ def test_a_floor_has_the_unit_of_a_motion(floor: str) -> None:
     """A number alone says nothing."""
     with pytest.raises(ConfigError, match=r"must be a size in the probe's own quantity \(such as 0.1 m/s\^2"):
         compose_config(["experiment=mafaulda", f"++machine.recordings.probes.ax1.floor='{floor}'"], MACHINE)
+
+
+def test_a_floor_of_probes_is_noise_enough() -> None:
+    """It is in the sentences; without it and without ``stated_noise`` there would be none."""
+    alone = ["experiment=mafaulda", "stated_noise={additive: 0 um, multiplicative: 0}"]
+    assert compose_config(alone, MACHINE).describe_noise().endswith("tell it, 0.1 m/s^2 noise)")
+    probes = [f"++machine.recordings.probes.{name}.floor='0 um'" for name in ("tg1", "rad1", "tg2", "ax1")]
+    with pytest.raises(ConfigError, match=r"part above zero, or a probe a floor, but there is none"):
+        compose_config([*alone, *probes], MACHINE)
+    at = "machine.probes.at=[{node: 1, angle: 0 deg, floor: 3 mm/s}, {node: 1, angle: 90 deg}, {node: 5, angle: 0 deg}]"
+    config = compose_config(["experiment=noisy_all", "stated_noise.multiplicative=0.01", at])
+    rotor = load_rotor(config.machine.rotor)
+    assert config.describe_noise() == "1 % and 3 mm/s noise"
+    assert configure_sensors(config, rotor).floors == ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR)
+
+
+def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:
+    """Half the squares of 3 and 4 um each, at 45 degrees."""
+    names = list(compose_config(["experiment=measured_demo"]).machine.recordings.probes)
+    floors = [f"++machine.recordings.probes.{name}.floor='{3 + i % 2} um'" for i, name in enumerate(names)]
+    config = compose_config(["experiment=measured_demo", *floors])
+    rotor, speeds = load_rotor(config.machine.rotor), np.array([100.0])
+    channels = list_directions(rotor.bearing_nodes)
+    data = VibrationDataset(
+        speeds, ("a",), channels, np.zeros((1, 4, 1)), (Excitation("a", "unbalance", 1, 1e-4, 0.0),)
+    )
+    known = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    noise = build_measurement(config, rotor, data, known).noise
+    assert np.array(noise.floors) == pytest.approx(np.tile([2.5e-6 * np.sqrt(2), 0.0, 0.0], (4, 1)))

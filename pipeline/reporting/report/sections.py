@@ -161,12 +161,11 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 def describe_diagnosis(content: ReportContent) -> list[Block]:
     """What the data determine before any fit: rank, condition, deviations."""
     diagnosis = content.files["diagnosis"]
-    noise, expected = diagnosis["stated_noise"], diagnosis["determined"]
+    noise, expected = content.config.describe_noise(), diagnosis["determined"]
     return [
         (
-            f"Before the fit, at each speed by itself, at a stated noise of {100 * noise['multiplicative']:g} % and "
-            f"{1e6 * noise['additive']:g} µm (root mean square, zero-to-peak). A fit over all speeds does "
-            "better: what it was expected to reach follows below."
+            f"Before the fit, at each speed by itself, at {noise} (root mean square, zero-to-peak). A fit over all "
+            "speeds does better: what it was expected to reach follows below."
         ),
         *(
             Mark("warning", f"Bearing at node {node}: {bearing['reason']}")
