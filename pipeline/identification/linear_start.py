@@ -38,10 +38,10 @@ def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray,
     if expansion is None:
         return None
     residual = linear_residual(expansion.equations, less.unknowns, less.known)
-    covariance, values = expansion.force_covariance, None
-    for _ in range(rounds):
-        values = _combine(whiten(residual, covariance), features, scale)
+    values = _combine(whiten(residual, expansion.force_covariance), features, scale)
+    for _ in range(rounds - 1):
         covariance = expansion.residual_covariance(less.response, less.table(values))
+        values = _combine(whiten(residual, covariance), features, scale)
     return values
 
 

@@ -219,8 +219,8 @@ class OutputError(LeastSquares):
             )
             by_pairs = self.plane_scale * torch.stack([by_planes, 1j * by_planes], dim=-1).flatten(-2)
             off = (expected - self.readings.measured[b])[..., None]
-            rows = torch.cat([by_numbers, by_pairs, by_parameters, off], dim=-1) * precision[..., None]
-            yield self.readings.whiten(b, rows)
+            rows = torch.cat([by_numbers, by_pairs, by_parameters, off], dim=-1)
+            yield self.readings.whiten(b, rows.mul_(precision[..., None]))  # in place: they are large
 
     # --- what is minimised ----------------------------------------------------------------------------
 
@@ -272,8 +272,8 @@ class OutputError(LeastSquares):
         if readings.mixing or (readings.correlation and not self.measurement.dataset.complete):
             columns = self.columns(weights)
             return columns.mT @ columns
-        local = torch.cat([rows.flatten(2, 3) for rows in self._local(weights)], dim=2)
-        parts = torch.cat([local.real, local.imag], dim=2)
+        local = [rows.flatten(2, 3) for rows in self._local(weights)]
+        parts = torch.cat([real for rows in local for real in (rows.real, rows.imag)], dim=2)
         alone, tie = parts.mT @ parts, readings.correlation
         if tie == 0:
             return self._spread(alone, weights)

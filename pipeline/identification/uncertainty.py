@@ -96,7 +96,7 @@ class Uncertainty:
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
             by_weights = self.sensitivity(speeds, operating)
             outer = by_weights.shape[-1]
-            variance = np.einsum("bscz,zy,bscy->bsc", by_weights, whole[:outer, :outer], by_weights, optimize=True)
+            variance = np.einsum("bscz,bscz->bsc", by_weights @ whole[:outer, :outer], by_weights)
             deviation = np.sqrt(np.maximum(variance, 0.0))
             unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
             values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))

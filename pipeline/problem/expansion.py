@@ -63,25 +63,27 @@ def expand(
     count = 2 * len(equations.bearing_nodes)
     if n_channels < count:
         return None
-    force = np.empty((n_speeds, count, n_runs), dtype=complex)
+    force = np.empty((n_speeds, n_runs, count), dtype=complex)
     displacements, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
     covariance = np.empty_like(receptance)
     for block in equations.films:
-        for i, run in enumerate(block.runs):
-            here = np.isfinite(deviation[:, :, run]).all(axis=1)
-            weight = 1.0 / np.where(here[:, None], deviation[:, :, run], 1.0)
-            matrix = block.receptance_sensors * weight[..., None]
-            length = np.linalg.norm(matrix, axis=1, keepdims=True)
-            if (np.linalg.svd(matrix / length, compute_uv=False)[:, -1] < dependent).any():
-                return None
-            inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
-            solved = inverse @ ((displacement[:, :, run] - block.forced_sensors[:, :, i]) * weight)[..., None]
-            force[..., run] = solved[..., 0]
-            displacements[..., run] = block.forced_bearings[..., i] + (block.receptance_bearings @ solved)[..., 0]
-            covariance[:, run] = inverse @ inverse.conj().swapaxes(1, 2)
-            receptance[:, run] = block.receptance_bearings
-            force[~here, :, run], displacements[~here, :, run] = 0.0, 0.0
-            covariance[~here, run] = UNMEASURED * np.eye(count)
+        here = np.isfinite(deviation[:, :, block.runs]).all(axis=1)[..., None]  # (S, R, 1)
+        weight = 1.0 / np.where(here, deviation[:, :, block.runs].swapaxes(1, 2), 1.0)  # (S, R, P)
+        matrix = block.receptance_sensors[:, None] * weight[..., None]
+        length = np.linalg.norm(matrix, axis=2, keepdims=True)
+        left, singular, right = np.linalg.svd(matrix / length, full_matrices=False)
+        if (singular[..., -1] < dependent).any():
+            return None
+        inverse = (left / singular[..., None, :] @ right / length).conj().swapaxes(2, 3)
+        off = (displacement[:, :, block.runs] - block.forced_sensors).swapaxes(1, 2) * weight
+        solved = (inverse @ off[..., None])[..., 0]  # (S, R, 2 B)
+        motion = block.forced_bearings.swapaxes(1, 2) + solved @ block.receptance_bearings.swapaxes(1, 2)
+        force[:, block.runs], displacements[:, block.runs] = np.where(here, solved, 0.0), np.where(here, motion, 0.0)
+        covariance[:, block.runs] = np.where(
+            here[..., None], inverse @ inverse.conj().swapaxes(2, 3), UNMEASURED * np.eye(count)
+        )
+        receptance[:, block.runs] = block.receptance_bearings[:, None]
+    force, displacements = force.swapaxes(1, 2), displacements.swapaxes(1, 2)
     return Expansion(
         bearing_equations_of(equations, force - equations.reference * displacements, displacements),
         receptance,

@@ -155,7 +155,7 @@ def derive(block: ResponseBlock, response: BlockResponse, moves: Array) -> Array
     bearings = response.bearings.reshape(*response.bearings.shape[:-2], -1, 2, response.bearings.shape[-1])
     force = library.einsum("...bijn,...bjr->...birn", change, bearings)
     shape = (*force.shape[:-4], response.bearings.shape[-2], -1)
-    by_numbers = -(response.receptance_sensors @ force.reshape(shape))
+    by_numbers = -response.receptance_sensors @ force.reshape(shape)
     return by_numbers.reshape(*by_numbers.shape[:-1], *force.shape[-2:])
 
 
