@@ -129,6 +129,7 @@ def _convert_weight(value: Any, most: float = 0.01) -> float:
 
 
 Length = _define_quantity("m", "150 mm", gt=0)
+Velocity = _define_quantity("m / s", "0.5 mm/s", gt=0)
 Acceleration = _define_quantity("m / s**2", "0.1 m/s^2", gt=0)
 Bore = _define_quantity("m", "0 mm", ge=0)
 Deviation = _define_quantity("m", "0.1 um", ge=0)

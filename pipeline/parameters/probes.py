@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.quantities import Acceleration, Length, PositiveAngle
+from pipeline.config.quantities import Acceleration, Length, PositiveAngle, Velocity
 from pipeline.data.dataset import VibrationDataset, project_direction
 from pipeline.parameters.kind import (
     PARTS,
@@ -62,7 +62,7 @@ def sensor_change(
 
 def runout(parameters: Sequence[ModelParameter], dataset: VibrationDataset) -> np.ndarray:
     """(S, P, R) m that each channel shows beside the motion, at the values of the parameters: of the shaft's surface,
-    or a constant acceleration a, a / (j w)^2, in the runs that turn with the rotor.
+    or a constant a of the derivative k that a probe measures, a / (j w)^k, in the runs that turn with the rotor.
     """
     shown = np.zeros(dataset.displacement.shape, dtype=complex)
     for parameter in parameters:
@@ -72,7 +72,7 @@ def runout(parameters: Sequence[ModelParameter], dataset: VibrationDataset) -> n
     return shown
 
 
-_ORDERS = {"runout": 0, "pickup": 2}
+_ORDERS = {"runout": 0, "pickup_displacement": 0, "pickup_velocity": 1, "pickup": 2}
 """Kinds of vectors that are no motion of the probe: constant in this derivative of the displacement."""
 
 
@@ -146,13 +146,23 @@ KINDS = (
         shown=("um", 1e6),
         scope="runs",
     ),
-    Kind(
-        name="pickup",
-        prior=Acceleration,
-        meaning="of a 1X vector of probes on casings that no motion causes, constant as acceleration; both parts",
-        places=lambda machine: _list_parts(machine, [p for p in machine.probes if p not in machine.probes_on_shaft]),
-        missing="probes on casings in runs that turn with the rotor and that no baseline was subtracted from",
-        unit="m/s^2",
-        scope="runs",
+    *(
+        Kind(
+            name=name,
+            prior=prior,
+            meaning=f"of a 1X vector of probes on casings that no motion causes, constant as {quantity}; both parts",
+            places=lambda machine: _list_parts(
+                machine, [p for p in machine.probes if p not in machine.probes_on_shaft]
+            ),
+            missing="probes on casings in runs that turn with the rotor and that no baseline was subtracted from",
+            unit=unit,
+            shown=shown,
+            scope="runs",
+        )
+        for name, prior, quantity, unit, shown in (
+            ("pickup", Acceleration, "acceleration", "m/s^2", None),
+            ("pickup_velocity", Velocity, "velocity", "m/s", ("mm/s", 1e3)),
+            ("pickup_displacement", Length, "displacement", "m", ("um", 1e6)),
+        )
     ),
 )

@@ -175,15 +175,16 @@ def test_a_base_that_softens_is_the_dense_one_of_its_force() -> None:
             assert slope == pytest.approx(share * by_stiffness, rel=1e-9)
 
 
-def test_a_pickup_is_a_constant_acceleration_of_probes_on_casings() -> None:
-    """(3 - 4j) 1e-2 m/s^2 is that over -w^2 at one probe in both runs; its derivative is that of one deviation."""
+@pytest.mark.parametrize(("kind", "order"), [("pickup", 2), ("pickup_velocity", 1), ("pickup_displacement", 0)])
+def test_a_pickup_is_constant_in_what_probes_on_casings_measure(kind: str, order: int) -> None:
+    """(3 - 4j) 1e-2 m/s^k is that over (j w)^k at one probe in both runs; its derivative is that of one deviation."""
     made = measured()
-    parameters = model_parameters({"pickup": 0.01}, stated(), made.dataset, made.known, made.unknowns)
+    parameters = model_parameters({kind: 0.01}, stated(), made.dataset, made.known, made.unknowns)
     plain, theta = replace(made, parameters=parameters), np.zeros(len(parameters))
     theta[[p.place == 6 for p in parameters]] = 3.0, -4.0
     shown = plain.update(theta).response.predict(films()) - plain.response.predict(films())
     expected = np.zeros_like(shown)
-    expected[:, 6] = ((0.03 - 0.04j) / -(SPEEDS**2))[:, None]
+    expected[:, 6] = ((0.03 - 0.04j) / (1j * SPEEDS) ** order)[:, None]
     slopes = np.tensordot(theta, plain.variations[0].forced_sensors, 1)
     assert len(parameters) == 2 * 6
     assert shown == pytest.approx(expected, abs=1e-14)

@@ -97,6 +97,8 @@ def test_every_kind_has_its_parameters(measurement: Measurement) -> None:
         "unbalance_phase": 2,
         "probe_gain": 4,
         "pickup": 0,
+        "pickup_velocity": 0,
+        "pickup_displacement": 0,
         "probe_angle": 4,
         "probe_position": 4,
         "runout": 8,
