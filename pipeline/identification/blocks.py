@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,6 +93,7 @@ class Prior:
         """(G, Z) half the derivative of the squares."""
         return self.deviations(weights) @ self.rows
 
+    @cached_property
     def information(self) -> torch.Tensor:
         """(Z, Z)."""
         return self.rows.T @ self.rows

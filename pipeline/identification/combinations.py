@@ -136,7 +136,7 @@ def _try_runs(
             problem.plane_scale,
         )
         # Its own problem has the priors again.
-        gained = more.normal(weights)[1][0, 0] - more.prior.information()
+        gained = more.normal(weights)[1][0, 0] - more.prior.information
         tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, direction)))
     best = tried[find_least({i: run_tried.deviation for i, run_tried in enumerate(tried)})]
     return best if best.deviation < WORTH * before else None

@@ -103,7 +103,7 @@ def _measure(
     rows = torch.cat([part for block in mixed for part in (block.real, block.imag)])
     rows = rows[:, torch.cat([fitted, torch.ones(1, dtype=torch.bool)])]
     products, count, square = rows.mT @ rows, problem.readings.size, 1.0
-    known = problem.prior.information()[fitted][:, fitted]
+    known = problem.prior.information[fitted][:, fitted]
     pull = problem.prior.gradient(weights[:, 0])[0, fitted]
     for _ in range(turns):
         told = products[:-1, :-1] / square

@@ -212,7 +212,7 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     squared = np.nanmedian(np.where(data.present[:, None], off, np.nan) ** 2, axis=(0, 2)) / np.log(2.0)
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest
-        used -= float((problem.covariance(weights)[0] * problem.prior.information().numpy()).sum())
+        used -= float((problem.covariance(weights)[0] * problem.prior.information.numpy()).sum())
     rest = max(1.0 - used / readings.size, 0.05)
     return np.asarray(np.sqrt(squared / rest))
 

@@ -328,10 +328,9 @@ def _spread(problem: OutputError, count: int = 255, reach: float = 2.0) -> torch
     prior deviations on either side.
     """
     import torch
-    from scipy.stats import qmc
 
-    drawn = qmc.Sobol(problem.law.n_numbers, scramble=False).random(count + 1)[1:]
-    numbers = torch.as_tensor(reach * (2 * drawn - 1)) * problem.law.prior_precision().rsqrt()
+    drawn = torch.quasirandom.SobolEngine(problem.law.n_numbers).draw(count + 1, dtype=torch.float64)[1:]
+    numbers = reach * (2 * drawn - 1) * problem.law.prior_precision().rsqrt()
     return _weights_of(problem, torch.cat([torch.zeros_like(numbers[:1]), numbers]))
 
 

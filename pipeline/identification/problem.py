@@ -69,7 +69,7 @@ class OutputError(LeastSquares):
     law: LawTerm  # what the model's outputs correct
     functions: Prior  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
-    exact: bool = False  # the rotor is solved for any weights (1, 1, Z), not to first order about those of the last
+    exact: bool = False  # the rotor is solved for any weights, start by start, not to first order about those of the last
     carried: ClassVar = ("ask", "ak")  # axes of the carrier, where an output has its own weights, and of the numbers
 
     @property
@@ -233,6 +233,8 @@ class OutputError(LeastSquares):
         """(G, 1, rows + N), whitened; the priors come last."""
         import torch
 
+        if self.exact and len(weights) > 1:
+            return torch.cat([self.rows(start) for start in weights.split(1)])
         both = [torch.view_as_real(off).reshape(len(off), -1) for off in self.deviations(weights)]
         return torch.cat([*both, self.prior.deviations(weights[:, 0])], dim=-1)[:, None]
 
@@ -255,11 +257,14 @@ class OutputError(LeastSquares):
         """
         import torch
 
+        if self.exact and len(weights) > 1:
+            gradients, matrices = zip(*map(self.normal, weights.split(1)), strict=True)
+            return torch.cat(gradients), torch.cat(matrices)
         whole = self._gather(weights)
         gradient, matrix = whole[:, :-1, -1], whole[:, :-1, :-1]
         left = torch.diag((~self.fitted()).to(weights.dtype))
         gradient = gradient + self.prior.gradient(weights[:, 0])
-        return gradient[:, None], (matrix + self.prior.information() + left)[:, None]
+        return gradient[:, None], (matrix + self.prior.information + left)[:, None]
 
     def _gather(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, Z + 1, Z + 1) products of all columns, the deviations' last: each speed's are small, and spread over the
@@ -406,7 +411,7 @@ class OutputError(LeastSquares):
         return replace(self, sensors=_solve(self.measurement, tuple(self.model_parameters(weights)[0].tolist())))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def _solve(measurement: Measurement, values: tuple[float, ...]) -> SensorModel:
     """At these model parameters; kept, since a step is judged and then begun there."""
     return sensor_model(measurement.update(values))

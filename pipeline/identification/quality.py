@@ -90,7 +90,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     )
     parameters = fit.problem.model_parameters(fit.weights)[0]
     # What the data do not tell of a weight its prior does: it takes no reading away.
-    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information().numpy())
+    by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information.numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
     bad = () if drift else _bad_points(fit, plain)

@@ -86,9 +86,11 @@ def search(
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
     problem, whitened, y = look_beside(problem, whitened, choices, y, kept, most_exact)
     precision = min(_noise(replace(whitened, problem=problem), y), most_exact)
-    # Solved anew at the best, the problem has its minima elsewhere.
-    whitened = replace(whitened, problem=problem.scaled(precision))
-    whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-5, steps=40), kept)
+    # To first order about one answer, another may explain readings that it does not: twice the logarithm of a posterior
+    # was up to 150 too large, and a minimum about one answer could lie at another, whose minimum lay at the first.
+    whitened = replace(whitened, problem=replace(problem.scaled(precision), exact=True))
+    whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-4, steps=20), kept)
+    problem = problem.update(whitened.weights(y)[:1])
     if again:
         best, at = replace(whitened.problem, functions=whitened.choices.functions()), whitened.weights(y)[:1]
         best = reshape_noise(best, at)

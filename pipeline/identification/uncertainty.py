@@ -112,7 +112,7 @@ class Uncertainty:
         (Sobol 1967) are carried to them, the same at every speed.
         """
         import torch
-        from scipy.stats import norm, qmc
+        from scipy.special import ndtri
 
         identified, model = self.identified, self.identified.model
         inputs = model.scaled_inputs(points)
@@ -127,7 +127,7 @@ class Uncertainty:
             spread = np.einsum("sk,ukvl,sl->suv", basis[m], block, basis[m], optimize=True)
             jitter = 1e-10 * np.trace(spread, axis1=1, axis2=2)[:, None, None] + 1e-30
             root = np.linalg.cholesky(spread + jitter * np.eye(len(mine)))  # (S, n, n)
-            normal = norm.ppf(qmc.Sobol(len(mine), scramble=False).random(2 * count)[1:])
+            normal = ndtri(torch.quasirandom.SobolEngine(len(mine)).draw(2 * count, dtype=torch.float64)[1:].numpy())
             drawn = raw[m].repeat(2 * count, 1, 1)  # the answer itself is the first
             drawn[1:, :, active[mine, 1]] += torch.as_tensor(np.einsum("suv,nv->nsu", root, normal))
             scale, drawn = model.scale_tensor(), drawn[:, None]

@@ -70,14 +70,12 @@ def tabulate_diagnosis(
     diagnosis: Diagnosis, judged: Sequence[Determined], operating: Mapping[str, np.ndarray]
 ) -> list[dict[Hashable, Any]]:
     """A row a bearing and operating point; the verdicts are those over all points."""
-    import pandas as pd
-
     rows: list[dict[Hashable, Any]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
             names, b = diagnosis.relative(node), diagnosis.deviations.table.nodes.index(node)
             columns = {
-                "bearing_node": node,
+                "bearing_node": np.full(len(report.speeds), node),
                 "speed_rpm": to_rpm(report.speeds),
                 **list_columns(operating),
                 "unknowns": np.full(len(report.speeds), len(report.unknowns)),
@@ -87,9 +85,9 @@ def tabulate_diagnosis(
                 "orbit_condition_number": report.orbit_condition,
                 **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
                 **{f"{name}_std": diagnosis.deviations.values[b, :, COEFFICIENTS.index(name)] for name in names},
-                **{f"{each.name}_verdict": each.verdict.value for each in judged if each.node == node},
+                **{f"{e.name}_verdict": [e.verdict.value] * len(report.speeds) for e in judged if e.node == node},
             }
-            rows += pd.DataFrame(columns).to_dict("records")
+            rows += [{name: column[s] for name, column in columns.items()} for s in range(len(report.speeds))]
     return rows
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,20 +23,15 @@ from pipeline.trust.judgement import AS_FELT
 from pipeline.trust.misfit import describe_held_out, describe_readings, measure_misfit
 from pipeline.write_numbers import format_engineering, write_number, write_percent, write_rough
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 def make_error_table(
     shown: Coefficients, errors: CoefficientErrors | None, beside: CoefficientErrors | None
-) -> pd.DataFrame:
+) -> list[dict[str, Any]]:
     """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
 
     Measured data have no modelled coefficients, and so neither these columns nor errors.
     """
-    import pandas as pd
-
-    answer, rows = shown.identified, []
+    answer, rows = shown.identified, list[dict[str, Any]]()
     judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
     verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
     for b, node in enumerate(answer.nodes):
@@ -45,8 +40,6 @@ def make_error_table(
             if shown.compared and not error:
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
-            share = np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
-            before = beside and beside[str(node)][name]["mean_error_percent"]
             rows.append(
                 {
                     "bearing_node": node,
@@ -54,22 +47,25 @@ def make_error_table(
                     "modelled": shown.modelled[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
-                    "least_squares_mean_error_percent": before,
-                    "median_std_percent": float(100 * share),
+                    "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
+                    "median_std_percent": float(
+                        100 * np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+                    ),
                     "verdict": verdicts.get((node, name)),
                 }
             )
-    return pd.DataFrame(rows).dropna(axis=1, how="all")
+    told = {column for row in rows for column, value in row.items() if value not in (None,) and value == value}
+    return [{column: row[column] for column in row if column in told} for row in rows]
 
 
-def print_error_table(name: str, errors: pd.DataFrame) -> None:
+def print_error_table(name: str, errors: Sequence[Mapping[str, Any]]) -> None:
     """Print the table on the screen."""
-    columns = [column for column in _SHOWN if column in errors]
+    columns = [column for column in _SHOWN if any(column in row for row in errors)]
     rows = [
-        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(column, row[column]) for column in columns)]
-        for _, row in errors.iterrows()
+        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(c, row.get(c, np.nan)) for c in columns)]
+        for row in errors
     ]
-    what = "identified against modelled" if "modelled" in errors else "identified"
+    what = "identified against modelled" if "modelled" in columns else "identified"
     table(f"{name}: {what}", ["bearing and coefficient", *(_SHOWN[column] for column in columns)], rows)
 
 

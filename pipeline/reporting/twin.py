@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -37,9 +37,6 @@ from pipeline.twin.modes import amplify, find_reached, follow_modes, require_sep
 from pipeline.twin.prediction import PredictedVibration, sample_motion
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number, write_rough
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RAD_S_PER_HERTZ = 2.0 * np.pi
 
@@ -147,30 +144,29 @@ def measure_sizes(predicted: PredictedVibration, scale: float = MICROMETRES) -> 
     return size, np.full_like(size, np.nan) if predicted.deviation is None else scale * predicted.deviation
 
 
-def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> pd.DataFrame:
+def tabulate_modes(behaviour: Mapping[str, Behaviour], operating: Mapping[str, float]) -> dict[str, np.ndarray]:
     """Columns of ``modes.csv``: a row a system, speed and mode that oscillates, by ascending frequency.
 
     ``operating`` are the conditions (SI) of all rows.
     """
-    import pandas as pd
-
-    frames = []
+    systems = []
     for name, machine in behaviour.items():
         modes, (frequency_std, decrement_std) = machine.modes, list_deviations(machine)
         present = ~np.isnan(modes.frequency)
         speed, mode = np.nonzero(present)
-        rows = {
-            "system": name,
-            "speed_rpm": to_rpm(modes.speeds)[speed],
-            "mode": mode + 1,
-            "frequency_hz": modes.frequency[present] / RAD_S_PER_HERTZ,
-            "logarithmic_decrement": modes.logarithmic_decrement[present],
-            "frequency_std_hz": frequency_std[present] / RAD_S_PER_HERTZ,
-            "logarithmic_decrement_std": decrement_std[present],
-            **_repeat_conditions(operating, len(speed)),
-        }
-        frames.append(pd.DataFrame(rows))
-    return pd.concat(frames, ignore_index=True)
+        systems.append(
+            {
+                "system": np.full(len(speed), name),
+                "speed_rpm": to_rpm(modes.speeds)[speed],
+                "mode": mode + 1,
+                "frequency_hz": modes.frequency[present] / RAD_S_PER_HERTZ,
+                "logarithmic_decrement": modes.logarithmic_decrement[present],
+                "frequency_std_hz": frequency_std[present] / RAD_S_PER_HERTZ,
+                "logarithmic_decrement_std": decrement_std[present],
+                **_repeat_conditions(operating, len(speed)),
+            }
+        )
+    return {name: np.concatenate([rows[name] for rows in systems]) for name in systems[0]}
 
 
 def _repeat_conditions(operating: Mapping[str, float], count: int) -> dict[str, np.ndarray]:

@@ -110,7 +110,7 @@ def linearise(
     by_number = measurement.unknowns.expand_slopes(problem.unknown_slopes(weights)[0])  # (B, S, 8, A K + Th)
     coefficients = np.zeros((*by_number.shape[:3], len(kept)))
     coefficients[..., : problem.places.numbers.stop] = by_number
-    prior = problem.prior.information().numpy()[np.ix_(kept, kept)]
+    prior = problem.prior.information.numpy()[np.ix_(kept, kept)]
     return LinearisedFit(-columns[..., -1], columns[..., :-1], coefficients[..., kept], prior, fitted)
 
 

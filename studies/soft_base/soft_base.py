@@ -229,7 +229,7 @@ def _numbers(fit: OutputErrorFit) -> list[tuple[Any, float, float]]:
 def _bearings(fit: OutputErrorFit) -> dict[str, float]:
     """How much of its prior deviation the records leave of each coefficient: 1 where they tell nothing."""
     problem = fit.problem
-    prior = np.sqrt(np.diag(invert(problem.prior.information()[None].numpy())[0]))
+    prior = np.sqrt(np.diag(invert(problem.prior.information[None].numpy())[0]))
     left = np.sqrt(np.diag(fit.covariance()))
     return {
         f"{problem.measurement.unknowns.names[u]} {m}": float(left[i] / prior[i])

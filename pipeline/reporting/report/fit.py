@@ -175,9 +175,7 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
 
 def _take_median(values: np.ndarray) -> float:
     """The median of those that are numbers; NaN where none is."""
-    import pandas as pd
-
-    return float(pd.Series(values).median())
+    return float(np.median(numbers)) if len(numbers := values[~np.isnan(values)]) else float("nan")
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
