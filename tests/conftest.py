@@ -214,12 +214,12 @@ class Made:
     def __init__(self, run: Run, root: Path) -> None:
         self.run, self.root = run, root
 
-    def __call__(self, experiment: str) -> Path:
-        """Run with few speeds and steps, once."""
-        from running import DEFAULT, LINE, few
+    def __call__(self, experiment: str, pictures: bool = False) -> Path:
+        """Run with few speeds and steps, once; once more with ``pictures``."""
+        from running import LINE, few
 
-        folder = self.root / experiment
-        with nullcontext() if experiment == DEFAULT else pictures_left_out():
+        folder = self.root / (f"{experiment} with pictures" if pictures else experiment)
+        with nullcontext() if pictures else pictures_left_out():
             for stage in LINE if not folder.exists() else ():
                 self.run(stage, few(experiment), folder)
         return folder

@@ -23,6 +23,7 @@ from pipeline.stages.measurement import load_measurement, load_modelled
 from pipeline.twin.prediction import predict
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_stage_makes_what_it_needs_and_says_so(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Predict in an empty folder generates and trains first, in this order, each announced once."""
     run("predict", few("ball_bearing"), tmp_path / "new folder")
@@ -131,7 +132,7 @@ def test_figures_show_something(experiment: str, figure: str, made: Made) -> Non
     """Each figure is a picture of some size with curves in it: neither blank nor a few pixels."""
     from matplotlib import image
 
-    pixels = image.imread(made(experiment) / "figures" / f"{figure}.png")
+    pixels = image.imread(made(experiment, pictures=True) / "figures" / f"{figure}.png")
     height, width = pixels.shape[:2]
     assert height > 300
     assert width > 500
