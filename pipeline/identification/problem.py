@@ -101,19 +101,21 @@ class OutputError(LeastSquares):
 
     @cached_property
     def prior(self) -> Prior:
-        """That of features, theta about its guess, model parameters (of unit variance), and sizes of coefficients.
+        """That of features, theta about its guess, residual unbalance, model parameters (of unit variance), and sizes
+        of coefficients.
 
         With ``guess.within`` the mean of a coefficient's output over the speeds has a prior about its guess: of the
         logarithm of that factor for what must be positive, of that many guesses otherwise.
         """
         import torch
 
-        rest = [self.law.prior_precision(), torch.zeros(2 * self.places.n_planes), torch.ones(self.places.n_parameters)]
+        guess, unknowns = self.measurement.guess, self.measurement.unknowns
+        planes = torch.full((2 * self.places.n_planes,), (self.plane_scale / guess.unbalance) ** 2, dtype=torch.float64)
+        rest = [self.law.prior_precision(), planes, torch.ones(self.places.n_parameters)]
         precision = torch.cat([(self.precision * self.kept).flatten(), *rest]).to(self.precision.dtype)
         functions = torch.nn.functional.pad(self.functions.rows, (0, self.places.n_rest))
         rows = [torch.diag(precision.sqrt()), functions] if len(functions) else [torch.diag(precision.sqrt())]
         aims = [torch.zeros_like(precision), self.functions.aims]
-        guess, unknowns = self.measurement.guess, self.measurement.unknowns
         if guess.within is not None:
             sizes = guess.sizes(unknowns)
             for a, (m, u) in enumerate(unknowns.active):

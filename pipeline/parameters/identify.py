@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, create_model
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.quantities import Damping, Stiffness
+from pipeline.config.quantities import Damping, Stiffness, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Once, Section, rule
 from pipeline.parameters.model import KINDS
 from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
@@ -49,7 +49,8 @@ class IdentifyConfig(Section):
     probes (loss ``response``); a coupling that they name acts at ``coupling_node``, and an added mass at the
     bearings of ``seal_nodes``. ``known_within`` is a factor: so near to ``known_stiffness`` and ``known_damping``
     (null: to their initial guess, from which the fit only starts otherwise) coefficients are expected, one standard
-    deviation of the logarithm (loss ``response``). With ``usual_tolerances`` what is never known exactly of shaft,
+    deviation of the logarithm (loss ``response``). Each part of a residual unbalance is nothing, plus or minus
+    ``known_unbalance`` (null: nothing is known of it). With ``usual_tolerances`` what is never known exactly of shaft,
     weights and probes, and is not among the model parameters, widens all deviations.
     """
 
@@ -64,6 +65,7 @@ class IdentifyConfig(Section):
     known_within: Annotated[float, Field(gt=1)] | None = None
     known_stiffness: Stiffness | None = None
     known_damping: Damping | None = None
+    known_unbalance: UnbalanceMagnitude | None = None
     bearings: dict[NonNegativeInt, OneBearingConfig] = Field(default_factory=dict)
 
     @rule
@@ -78,6 +80,8 @@ class IdentifyConfig(Section):
             )
         if (self.known_stiffness or self.known_damping) and not self.known_within:
             yield "known_stiffness and known_damping must have known_within, a factor such as 30: give it, or neither"
+        if self.known_unbalance and not self.unbalance_planes:
+            yield "known_unbalance must have unbalance_planes, the nodes where it acts, but there are none: give them"
         self.at(-1)
         for node in self.bearings:
             self.at(node)

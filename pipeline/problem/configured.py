@@ -239,6 +239,7 @@ def build_measurement(config: Config, rotor: RotorModel, dataset: VibrationDatas
             identify.known_stiffness or model.initial_stiffness,
             identify.known_damping or model.initial_damping,
             identify.known_within,
+            identify.known_unbalance or np.inf,
         ),
         drift=drift,
         laws=NO_LAWS if laws is None else make_laws(laws, rotor.bearing_nodes),

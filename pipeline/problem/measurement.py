@@ -39,6 +39,7 @@ class Guess:
     stiffness: float  # N/m
     damping: float  # N s/m
     within: float | None = None  # factor that is one standard deviation of a coefficient about it; None: no prior
+    unbalance: float = np.inf  # kg m, one standard deviation of each part of a residual unbalance
 
     def sizes(self, unknowns: UnknownSet) -> np.ndarray:
         """(M, U) N/m and N s/m, cross-coupled coefficients included."""

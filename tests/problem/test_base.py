@@ -15,6 +15,9 @@ from pipeline.data.sensors import NoiseModel, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import default_setup, fit
+from pipeline.identification.linear_start import start_at
+from pipeline.identification.output_error_start import drawn_basis
+from pipeline.identification.problem import output_error
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
 from pipeline.problem.measurement import Guess, Measurement
@@ -189,3 +192,16 @@ def test_a_pickup_is_constant_in_what_probes_on_casings_measure(kind: str, order
     assert len(parameters) == 2 * 6
     assert shown == pytest.approx(expected, abs=1e-14)
     assert slopes == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_residual_unbalance_of_which_readings_tell_nothing_is_as_large_as_is_known() -> None:
+    """2e-5 kg m in each part, of readings with a metre of noise; with none known the readings alone tell it."""
+    made = replace(measured((3, 8)), guess=Guess(1e7, 1e4, within=30.0, unbalance=2e-5), noise=NoiseModel(1.0, 0.0))
+    setup = default_setup(made.guess, constant=True)
+    problem = output_error(made, drawn_basis(setup, made, made.dataset.points), 1e-3)
+    values = np.array(FILMS)[:, None, [0, 3, 4, 7]] * np.ones((1, len(SPEEDS), 1))
+    spread = np.diag(problem.covariance(start_at(problem, values))[0])[problem.places.planes]
+    assert 1e-3 * np.sqrt(spread) == pytest.approx(2e-5, rel=1e-6)
+    free = replace(problem.measurement, guess=Guess(1e7, 1e4, within=30.0))
+    information = output_error(free, problem.basis, 1e-3).prior.information()
+    assert not information[problem.places.planes].any()

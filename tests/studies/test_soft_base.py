@@ -85,6 +85,12 @@ def test_a_floor_has_the_unit_of_a_motion(floor: str) -> None:
         compose_config(["experiment=mafaulda", f"++machine.recordings.probes.ax1.floor='{floor}'"], MACHINE)
 
 
+def test_what_is_known_of_a_residual_unbalance_needs_its_planes() -> None:
+    """It would be of no unknown."""
+    with pytest.raises(ConfigError, match=r"known_unbalance must have unbalance_planes, the nodes where it acts"):
+        compose_config(["experiment=mafaulda", "identify={unbalance_planes: [], known_unbalance: 300 g mm}"], MACHINE)
+
+
 def test_a_floor_of_probes_is_noise_enough() -> None:
     """It is in the sentences; without it and without ``stated_noise`` there would be none."""
     alone = ["experiment=mafaulda", "stated_noise={additive: 0 um, multiplicative: 0}"]
