@@ -69,7 +69,7 @@ class OutputError(LeastSquares):
     law: LawTerm  # what the model's outputs correct
     functions: Prior  # of the coefficients' weights: as functions of the speed
     n_unspent: int = 0  # how many of the weights follow no noise
-    exact: bool = False  # the rotor is solved for any weights, start by start, not to first order about those of the last
+    exact: bool = False  # the rotor is solved for the weights of each start, not to first order about those of the last
     carried: ClassVar = ("ask", "ak")  # axes of the carrier, where an output has its own weights, and of the numbers
 
     @property
