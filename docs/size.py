@@ -38,7 +38,7 @@ STATEMENTS = {
     "methods": 552,
     "comparison": 116,
     "tuning": 489,
-    "reporting": 2511,
+    "reporting": 2507,
     "tracking": 351,
     "stages": 1109,
     "beside the rooms": 573,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18704, 14500),
+    "statements of pipeline/": (18700, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (332, 420),

@@ -112,8 +112,9 @@ def find_peak(
     It is the highest, or that which lies nearest ``beside`` a speed (rpm). A peak stands out by ``least_prominence`` of
     the largest value at least: noise does not.
     """
-    tops = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1
-    inner = tops[[_stand_out(size, s) >= least_prominence * size.max() for s in tops.tolist()]]
+    from scipy.signal import find_peaks
+
+    inner, _ = find_peaks(size, prominence=least_prominence * size.max())
     if not len(inner):
         return None
     s = int(inner[size[inner].argmax() if beside is None else np.abs(rpm[inner] - beside).argmin()])
@@ -122,13 +123,6 @@ def find_peak(
     a, b, c = np.polyfit(rpm[near] - rpm[s], size[near], 2)
     top = float(np.clip(-b / (2 * a), rpm[near][0] - rpm[s], rpm[near][-1] - rpm[s])) if a < 0 else 0.0
     return float(rpm[s] + top), float(a * top**2 + b * top + c)
-
-
-def _stand_out(size: np.ndarray, s: int) -> float:
-    """The prominence of the top at s, above the deeper of the ways to a higher one. scipy.signal has it, too, but takes
-    0.6 s to import."""
-    least = [way[: int(np.argmax(way > size[s])) or None].min() for way in (size[s::-1], size[s:])]
-    return float(size[s] - max(least))
 
 
 def _verify(content: ReportContent, fit: FitContent, speed_tolerance: float = 5.0) -> list[str | Table]:
