@@ -111,9 +111,7 @@ def test_what_was_stored_predicts_the_same(
     rig: SmallRig, fit: OutputErrorFit, model: Physical, setup: FitSetup
 ) -> None:
     measurement = replace(rig.template, dataset=to_dataset(rig.conditions), drift=condition_noise(rig.conditions))
-    back = restore_physical(
-        measurement, fit.identified, measure_uncertainty(fit, output_error_quality(fit)), rig.conditions
-    )
+    back = restore_physical(measurement, measure_uncertainty(fit, output_error_quality(fit)), rig.conditions)
     for one, other in zip(model.predict(loads()), back.predict(loads()), strict=True):
         np.testing.assert_allclose(other, one, atol=1e-6 * abs(one).max())
     np.testing.assert_allclose(

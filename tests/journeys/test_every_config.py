@@ -33,8 +33,8 @@ def test_every_stage_of_an_experiment_again_gives_the_same_bits(
     experiment: str, made: Made, run: Run, tmp_path: Path
 ) -> None:
     """All stages run, and a second time, over their own files, they write the same bytes, figures too."""
-    first = contents(made(experiment))
-    folder = Path(shutil.copytree(made(experiment), tmp_path / "again"))
+    first = contents(made(experiment, pictures=True))
+    folder = Path(shutil.copytree(made(experiment, pictures=True), tmp_path / "again"))
     for stage in LINE:
         run(stage, few(experiment), folder)
     again = contents(folder)
