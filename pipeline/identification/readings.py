@@ -115,6 +115,8 @@ class Readings:
             total -= 4 * float(precision[here.expand_as(precision) > 0].log().sum())
             if self.common:
                 total += 2 * float((1 + self.common[b][0].square().sum(-1)).log().sum())
+            if self.records:  # a record's factor moves both parts of its readings together
+                total += float((1 + self.records[b][0].abs().square().sum(-2)).log().sum())
         return total
 
     # --- other precisions --------------------------------------------------------------------------

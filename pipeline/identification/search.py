@@ -85,11 +85,14 @@ def search(
     if explained < coarse:  # the simpler problem could not tell which choices to drop
         problem, whitened, y = _settle(problem, *_take_up(whitened, choices, y), kept, most_exact)
     problem, whitened, y = look_beside(problem, whitened, choices, y, kept, most_exact)
-    precision = min(_noise(replace(whitened, problem=problem), y), most_exact)
     # To first order about one answer, another may explain readings that it does not: twice the logarithm of a posterior
     # was up to 150 too large, and a minimum about one answer could lie at another, whose minimum lay at the first.
-    whitened = replace(whitened, problem=replace(problem.scaled(precision), exact=True))
-    whitened, y, evidence = _rank(whitened, whitened.minimise(y, 1e-4, steps=20), kept)
+    whitened = replace(whitened, problem=replace(problem, exact=True))
+    for _ in range(2):  # the size of the noise is that of the exact minima
+        precision = min(_noise(whitened, y), most_exact)
+        scaled = replace(whitened, problem=whitened.problem.scaled(precision))
+        y = scaled.minimise(y, 1e-4, steps=20)
+    whitened, y, evidence = _rank(scaled, y, kept)
     problem = problem.update(whitened.weights(y)[:1])
     if again:
         best, at = replace(whitened.problem, functions=whitened.choices.functions()), whitened.weights(y)[:1]

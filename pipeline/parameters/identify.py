@@ -46,8 +46,8 @@ class IdentifyConfig(Section):
 
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and
-    probes (loss ``response``); a coupling that they name acts at ``coupling_node``, and an added mass at the
-    bearings of ``seal_nodes``. ``known_within`` is a factor: so near to ``known_stiffness`` and ``known_damping``
+    probes (loss ``response``); a coupling that they name acts at ``coupling_node`` (null: at the ends of the shaft
+    without disc and bearing), and an added mass at the bearings of ``seal_nodes``. ``known_within`` is a factor: so near to ``known_stiffness`` and ``known_damping``
     (null: to their initial guess, from which the fit only starts otherwise) coefficients are expected, one standard
     deviation of the logarithm (loss ``response``). Each part of a residual unbalance is nothing, plus or minus
     ``known_unbalance`` (null: nothing is known of it). With ``usual_tolerances`` what is never known exactly of shaft,
@@ -59,7 +59,7 @@ class IdentifyConfig(Section):
     shared: bool
     unbalance_planes: tuple[NonNegativeInt, ...] = ()
     model_parameters: ModelParametersConfig = ModelParametersConfig()
-    coupling_node: NonNegativeInt = 0
+    coupling_node: NonNegativeInt | None = None
     seal_nodes: Annotated[tuple[NonNegativeInt, ...], Once] = ()
     usual_tolerances: bool = True
     known_within: Annotated[float, Field(gt=1)] | None = None

@@ -48,7 +48,7 @@ class Machine:
     dataset: VibrationDataset
     known: BearingTable
     unknowns: UnknownSet
-    coupling_node: int = 0
+    coupling_node: int | None = None  # None: where a coupling may be
     seal_nodes: Collection[int] = ()
 
     @cached_property

@@ -37,8 +37,9 @@ USUAL = {name: kind.usual for name, kind in KINDS.items() if kind.usual and kind
 weight and its place are off by 2 % and 2 degrees (docs/noise.md), the scale of a proximity probe by 5 % at most
 (API 670)."""
 ALWAYS_FITTED = USUAL | {name: kind.usual for name, kind in KINDS.items() if kind.usual}
-"""As :data:`USUAL`, for models that fit their tolerances: discs are known to 2 %, and a bearing is in each run as it is
-on average to 2 % (oil temperature, alignment, amplitude); so it is in the baseline."""
+"""As :data:`USUAL`, for models that fit their tolerances: discs are known to 2 %, their inertias to 3 %, and a bearing
+is in each run as it is on average to 2 % (oil temperature, alignment, amplitude); so it is in the baseline. A free end
+of the shaft may have a coupling that nobody stated. Where no baseline is subtracted, 1 um of runout is left over."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def model_parameters(
     dataset: VibrationDataset,
     known: BearingTable,
     unknowns: UnknownSet,
-    coupling_node: int = 0,
+    coupling_node: int | None = None,
     seal_nodes: Collection[int] = (),
 ) -> tuple[ModelParameter, ...]:
     """The parameters of a machine: one for each disc, weight, probe and known coefficient.

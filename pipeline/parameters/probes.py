@@ -144,6 +144,8 @@ KINDS = (
         missing=UNSHOWN,
         unit="m",
         shown=("um", 1e6),
+        usual=1e-6,
+        widens=False,
         scope="runs",
     ),
     *(

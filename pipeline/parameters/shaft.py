@@ -42,8 +42,13 @@ def _couple(parameter: ModelParameter, rotor: RotorModel, matrix: str) -> Mappin
 
 
 def _find_coupling(machine: Machine) -> list[Place]:
-    """Where the configuration says. Raises ConfigError for a node that the rotor lacks, and for a bearing's."""
+    """Where the configuration says, or the ends of the shaft without disc and bearing. Raises ConfigError for a node
+    that the rotor lacks, and for a bearing's.
+    """
     node, rotor = machine.coupling_node, machine.rotor
+    if node is None:
+        ends = [end for end in (0, rotor.n_nodes - 1) if end not in (*rotor.bearing_nodes, *rotor.disc_nodes)]
+        return [Place(f"node {end}", end) for end in ends]
     if not node < rotor.n_nodes:
         raise ConfigError(
             f"identify.coupling_node must be one of the nodes 0 to {rotor.n_nodes - 1} of the rotor, but got {node}"
@@ -92,6 +97,8 @@ KINDS = (
         meaning="of each disc, as a share, diametral and polar together",
         places=lambda machine: machine.discs,
         missing="no disc",
+        usual=0.03,
+        widens=False,
         rotor=lambda parameter, rotor: _change_disc(parameter, rotor, TRANSLATIONS, DOF_PER_NODE),
     ),
     Kind(
@@ -99,7 +106,10 @@ KINDS = (
         prior=Stiffness,
         meaning="of a coupling to ground at coupling_node, radial; none is stated",
         places=_find_coupling,
+        missing="no end of its shaft without disc and bearing",
         unit="N/m",
+        usual=1e5,
+        widens=False,
         rotor=lambda parameter, rotor: _couple(parameter, rotor, "stiffness"),
     ),
     Kind(
@@ -107,7 +117,10 @@ KINDS = (
         prior=Mass,
         meaning="of a coupling; none is stated",
         places=_find_coupling,
+        missing="no end of its shaft without disc and bearing",
         unit="kg",
+        usual=0.5,
+        widens=False,
         rotor=lambda parameter, rotor: _couple(parameter, rotor, "mass"),
     ),
 )

@@ -141,12 +141,20 @@ def unit_columns(matrix: np.ndarray) -> np.ndarray:
     return matrix / np.where(length > 0, length, 1.0)
 
 
-def decompose(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(S, U) singular values, zero where there are fewer rows than unknowns; (S, U) the direction of the smallest."""
+def decompose(columns: np.ndarray, alike: float = 1e-6) -> tuple[np.ndarray, np.ndarray]:
+    """(S, U) singular values, zero where there are fewer rows than unknowns; (S, U) the direction of the smallest.
+
+    Where smallest ones tie, it is what of the first unknown that lies most in their plane: no matter of rounding.
+    """
     _, singular, right = np.linalg.svd(columns, full_matrices=True)
     padded = np.zeros(columns.shape[::2])
     padded[:, : singular.shape[1]] = singular
-    return padded, right[:, -1]
+    tied = padded <= (1 + alike) * padded[:, -1:] + DEPENDENT * padded[:, :1]
+    plane = right.conj().swapaxes(1, 2) @ (right * tied[..., None])
+    shares = plane.diagonal(axis1=1, axis2=2).real
+    most = np.argmax(shares > (1 - alike) * shares.max(axis=1, keepdims=True), axis=1)[:, None]
+    least = np.take_along_axis(plane, most[..., None], axis=1)[:, 0]
+    return padded, least / np.sqrt(np.take_along_axis(shares, most, axis=1))
 
 
 def count_determined(singular: np.ndarray) -> np.ndarray:

@@ -26,12 +26,14 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.config.rotor import RotorConfig
 from pipeline.config.schema import Config
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import project
-from pipeline.data.simulate import simulate
+from pipeline.data.dataset import Excitation, VibrationDataset, project_direction
+from pipeline.data.simulate import simulate, solve_response
 from pipeline.errors import ConfigError
 from pipeline.parameters.as_built import build_rotor, stand_on_pedestals
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems
+from pipeline.rotor.interpolation import shaft_rows
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.twin.modes import find_modes, measure_stability
 from pipeline.units import RAD_S_PER_RPM
@@ -49,6 +51,9 @@ TROUBLE: dict[str, dict[str, Any]] = {
     "angle": {"angle": 2.0},
     "load_direction": {"load_angle": 20.0},
     "theory": {"off_theory": 0.15},
+    "support": {"built": {"pedestal_stiffness": "3e8 N/m", "pedestal_mass": "20 kg"}},
+    "anisotropy": {"anisotropy": 0.005},
+    "place": {"place": 5e-3},
     "few_speeds": {"every": 5},
 }
 """What is silently wrong, by name, or was measured at every fifth speed alone; each amount was set before the first
@@ -269,25 +274,58 @@ def measure_machine(drawn: Drawn, noise: float, seed: int) -> tuple[VibrationDat
             for e, (size, ahead) in zip(excitations, misplaced.standard_normal((len(excitations), 2)), strict=True)
         ]
         real = [*placed, *(Excitation(name, "unbalance", *one) for one in residual)]
-        seen.append(simulate(rotor, replace(felt, values=felt.values * factors), tuple(real)).displacement)
+        seen.append(_respond(rotor, replace(felt, values=felt.values * factors), tuple(real), trouble, seed))
         stated += excitations
-    complete = simulate(rotor, felt, tuple(real))  # its axes and channels
-    everything = replace(
-        complete, runs=tuple(acting), displacement=np.concatenate(seen, axis=2), excitations=tuple(stated)
-    )
+    complete = simulate(rotor, felt, tuple(real))  # its axes
     channels = tuple((p["node"], float(p["angle"].split()[0])) for p in drawn.stated["probes"]["at"])
     gain, turn = generator.standard_normal((2, len(channels)))
-    turned = tuple(
-        (node, angle + trouble.get("angle", 0.0) * t) for (node, angle), t in zip(channels, turn, strict=True)
-    )
-    data = replace(project(everything, turned), channels=channels)
-    exact = data.displacement * (1 + trouble.get("gain", 0.0) * gain)[:, None]
+    ahead = trouble.get("place", 0.0) * np.random.default_rng([seed, 16]).standard_normal(len(channels))
+    rows = [
+        np.array(project_direction(angle + trouble.get("angle", 0.0) * t)) @ shaft_rows(rotor, node, shift)
+        for (node, angle), t, shift in zip(channels, turn, ahead.tolist(), strict=True)
+    ]
+    exact = np.stack(rows) @ np.concatenate(seen, axis=2) * (1 + trouble.get("gain", 0.0) * gain)[:, None]
+    data = replace(complete, runs=tuple(acting), channels=channels, displacement=exact, excitations=tuple(stated))
     draw = generator.standard_normal((2, *exact.shape))
     steps, correlation = (draw[0] + 1j * draw[1]) / np.sqrt(2), trouble.get("correlation", 0.0)
     for s in range(1, len(steps)):
         steps[s] = correlation * steps[s - 1] + np.sqrt(1 - correlation**2) * steps[s]
     deviation = np.sqrt(drawn.floor**2 + (noise * np.abs(exact)) ** 2)
     return replace(data, displacement=exact + deviation * steps), felt
+
+
+def _respond(
+    rotor: RotorModel,
+    bearings: BearingTable,
+    excitations: tuple[Excitation, ...],
+    trouble: Mapping[str, Any],
+    seed: int,
+    turns: int = 40,
+) -> np.ndarray:
+    """(S, n, 1) the response of a run, of a shaft that is stiffer in one direction by a share, ``anisotropy``.
+
+    That direction turns with the shaft. With ``w = x + i y`` the shaft pushes back by ``K (w + e w* exp(2 i W t))``,
+    e half that share and the direction's angle: what whirls forward is excited at 1X again, and what whirls backward at
+    3X, which is left out (Genta, Dynamics of Rotating Systems, 2005, chapter 6). A fixed point, in so many ``turns``.
+    """
+    still = solve_response(rotor, bearings, excitations, (excitations[0].run,))
+    share = trouble.get("anisotropy", 0.0) / 2 * np.exp(2j * np.random.default_rng([seed, 17]).uniform(0, np.pi))
+    if not share:
+        return still
+    mass, damping, stiffness = assemble_systems(rotor, bearings)
+    w = bearings.speeds[:, None, None]
+    receptance = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
+    # x and the slope of x; y and, with the other sign, its slope
+    along, across, sign = (np.tile(one, rotor.n_nodes) for one in ([0, 3], [1, 2], [1.0, -1.0]))
+    first = 4 * np.arange(rotor.n_nodes).repeat(2)
+    along, across, response = first + along, first + across, still
+    for _ in range(turns):
+        forward = (response[:, along] + 1j * sign[:, None] * response[:, across]) / 2
+        pushed = -share * (rotor.stiffness[np.ix_(along, along)] @ forward.conj())
+        force = np.zeros_like(response)
+        force[:, along], force[:, across] = pushed, -1j * sign[:, None] * pushed
+        response = still + receptance @ force
+    return response
 
 
 def list_excitations(

@@ -30,6 +30,7 @@ from pipeline.identification.training import FitSetup, Outcome, setup_of
 from pipeline.identification.uncertainty import load_uncertainty, save_uncertainty
 from pipeline.impedance import list_places, to_coordinates
 from pipeline.laws.population import LACKS, make_priors
+from pipeline.parameters.as_built import AsBuiltConfig
 from pipeline.rotor.weight import estimate_journals, find_static_loads
 from pipeline.stages.measurement import load_measurement
 
@@ -76,6 +77,23 @@ def test_trouble_is_in_the_readings(study: Any) -> None:
         off = np.abs(wrong.displacement - exact.displacement).max(axis=0) / size
         assert off.max() > 1e-3, trouble
         assert np.median(off) < 2.0, trouble
+
+
+def test_an_anisotropic_shaft_turns_with_its_directions(study: Any) -> None:
+    """Weights along the stiff direction, on isotropic bearings without loss: a shaft of that stiffness all around."""
+    draw = study["draw"]
+    config = draw.compose_real(draw.draw_machine(3))
+    rotor, speeds = draw.load_rotor(config.machine.rotor), np.linspace(40.0, 160.0, 5)
+    nodes, discs = rotor.bearing_nodes, rotor.disc_nodes
+    held = np.tile([3e7, 0.0, 0.0, 3e7, 0.0, 0.0, 0.0, 0.0], (len(nodes), len(speeds), 1))
+    bearings = draw.BearingTable(nodes, speeds, held)
+    stiff = np.random.default_rng([3, 17]).uniform(0, np.pi)
+    weights = (draw.Excitation("a", "unbalance", discs[0], 1e-4, stiff),)
+    stiffer = draw.build_rotor(config.machine.rotor, AsBuiltConfig(youngs_modulus=0.01))
+    expected = draw.solve_response(stiffer, bearings, weights, ("a",))
+    still = draw.solve_response(rotor, bearings, weights, ("a",))
+    found = draw._respond(rotor, bearings, weights, {"anisotropy": 0.02}, 3)
+    assert np.abs(found - expected).max() < 1e-6 * np.abs(expected - still).max()
 
 
 def test_a_short_bearing_of_ross_is_a_member_of_the_plain_family(study: Any) -> None:

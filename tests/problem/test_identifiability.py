@@ -23,7 +23,7 @@ from pipeline.identification.fit import fit
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import setup_of
 from pipeline.problem.design import choose, merit
-from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
+from pipeline.problem.identifiability import Identifiability, Solvability, decompose, judge_identifiability
 from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.residual import (
     BearingEquations,
@@ -151,6 +151,19 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
 
 
 @pytest.mark.slow
+def test_what_is_determined_least_does_not_hang_on_rounding(rng: np.random.Generator) -> None:
+    """Two smallest singular values tie: any rotation of the rows leaves the direction, which has unit length."""
+    left, right = (np.linalg.qr(rng.standard_normal((5, 5)))[0] for _ in range(2))
+    columns = np.stack([left, left[::-1]]) * [3.0, 2.0, 1.0, 0.5, 0.5] @ right.T
+    values, least = decompose(columns)
+    assert values == pytest.approx(np.tile([3.0, 2.0, 1.0, 0.5, 0.5], (2, 1)))
+    assert least[0] == pytest.approx(least[1], abs=1e-10)
+    assert np.linalg.norm(columns[0] @ least[0]) == pytest.approx(0.5)
+    assert np.linalg.norm(least[0]) == pytest.approx(1.0)
+    alone = np.diag([1.0, -2.0, 0.0])[None]
+    assert decompose(alone)[1] == pytest.approx(np.array([[0.0, 0.0, 1.0]]))
+
+
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
     made = machine("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=200")
