@@ -241,9 +241,8 @@ def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationData
             "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
             "residual unbalance (identify.unbalance_planes)"
         )
-    others = np.delete(dataset.present, b, axis=1)
     if not dataset.complete:
-        dataset = dataset.at(np.flatnonzero(others.any(axis=1)))
+        dataset = dataset.at(np.flatnonzero(np.delete(dataset.present, b, axis=1).any(axis=1)))
     rest = dataset.of_runs(np.delete(np.arange(len(dataset.runs)), b))
     turning = synchronous(rest.frequencies, rest.speeds[:, None]) & rest.present  # (S, R)
     subtracted = dataset.displacement[..., [b]] * turning[:, None]

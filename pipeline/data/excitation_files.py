@@ -32,15 +32,17 @@ _EXCITATION = {
 
 def write_excitation(path: Path, dataset: VibrationDataset) -> Path:
     """Write what excited the runs; a run that nothing excites (the baseline) has no row. Raises StorageError."""
-    forces = {
-        "run": [e.run for e in dataset.excitations],
-        "kind": [e.kind for e in dataset.excitations],
-        "node": [e.node for e in dataset.excitations],
-        "magnitude": [e.magnitude for e in dataset.excitations],
-        "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
-        "whirl": [e.whirl for e in dataset.excitations],
-    }
-    return write_table(path, forces)
+    return write_table(
+        path,
+        {
+            "run": [e.run for e in dataset.excitations],
+            "kind": [e.kind for e in dataset.excitations],
+            "node": [e.node for e in dataset.excitations],
+            "magnitude": [e.magnitude for e in dataset.excitations],
+            "phase_deg": [float(np.degrees(e.phase)) for e in dataset.excitations],
+            "whirl": [e.whirl for e in dataset.excitations],
+        },
+    )
 
 
 def read_excitations(path: Path, n_nodes: int | None = None) -> tuple[Excitation, ...]:
@@ -66,8 +68,7 @@ def read_excitations(path: Path, n_nodes: int | None = None) -> tuple[Excitation
 
 def read_nodes(values: np.ndarray, path: Path, n_nodes: int | None) -> np.ndarray:
     """Nodes as integers. Raises DataError for one that a rotor of ``n_nodes`` lacks; None: it is not known how many."""
-    last = np.inf if n_nodes is None else n_nodes - 1
-    bad = values[(values != np.round(values)) | (values < 0) | (values > last)]
+    bad = values[(values != np.round(values)) | (values < 0) | (values >= (np.inf if n_nodes is None else n_nodes))]
     if len(bad):
         nodes = "nodes 0, 1, 2 and so on" if n_nodes is None else f"nodes 0 to {n_nodes - 1}"
         raise DataError(f"'{path}' must use the rotor's {nodes}, but got node {bad[0]:g}")

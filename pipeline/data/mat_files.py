@@ -46,6 +46,13 @@ def require_names(path: Path, what: str, names: Iterable[str], known: Iterable[s
             raise DataError(f"'{path}' must have the {what} '{name}', but it has not: {nearest(name, every)}")
 
 
+def require_lengths(path: Path, what: str, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise DataError where the ``columns`` of a file have not as many ``what``."""
+    if len({len(values) for values in columns.values()}) > 1:
+        text = ", ".join(f"'{name}' {len(values)}" for name, values in columns.items())
+        raise DataError(f"'{path}' must have as many {what}, but it has {text}")
+
+
 def require_room(path: Path, asked: float, most: float = 1e8, times: float = 100.0) -> None:
     """Raise DataError where a file asks for more bytes than ``most`` and than so many ``times`` its own.
 

@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pipeline.data.csv_format import CsvConfig, find_header, is_grouped, name_columns, recognize_csv
-from pipeline.data.mat_files import open_measured, read_mat, require_names, require_room, require_unpacked
+from pipeline.data.mat_files import (
+    open_measured,
+    read_mat,
+    require_lengths,
+    require_names,
+    require_room,
+    require_unpacked,
+)
 from pipeline.errors import DataError
 from pipeline.files import write_beside
 
@@ -235,21 +242,29 @@ def _explain_csv(path: Path, text: CsvConfig) -> _Table:
     )
 
 
-def _read_sheet(path: Path, text: CsvConfig) -> list[Any]:
-    """Its rows."""
+def _read_sheet(path: Path, text: CsvConfig, most: int = 1 << 20, most_blank: int = 50_000) -> list[Any]:
+    """Its rows to the last that is not blank: at most as many as a spreadsheet has, with so many blank ones together,
+    which a file states in no space at all."""
     # Warnings of styles and validations, which hold no data.
     with open_measured(path, "complete Excel file (.xlsx)"), warnings.catch_warnings(action="ignore"):
         book = _open_book(path)
         require_names(path, "sheet", [text.sheet] if text.sheet else (), book.sheetnames)
         sheet = book[text.sheet or book.sheetnames[0]]
         sheet.reset_dimensions()  # what other programs write there may be wrong
-        rows, cells = [], 0
+        rows: list[Any] = []
+        cells = blank = 0
         for row in sheet.iter_rows(values_only=True):
             cells += len(row)  # a row is as long as its last cell says
             require_room(path, 8 * cells)
+            blank = blank + 1 if row.count(None) == len(row) else 0
+            if blank > most_blank or len(rows) == most:
+                raise DataError(
+                    f"'{path}' must have at most {most:,} rows, and {most_blank:,} blank ones together, but row "
+                    f"{len(rows) + 1:,} is one more: delete blank rows, or save the sheet as CSV"
+                )
             rows.append(row)
         book.close()
-    return rows
+    return rows[: len(rows) - blank]
 
 
 def _open_book(path: Path, most: float = 5e6, times: float = 30.0) -> Any:
@@ -265,19 +280,13 @@ def _read_excel(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Tab
     skip, units = find_header(rows[:100], columns, text.skip_rows)
     units = units if text.unit_rows is None else text.unit_rows
     names, header, rows = name_columns(rows, skip), rows[skip], rows[skip + 1 + units :]
-    while rows and not any(value is not None for value in rows[-1]):
-        rows.pop()
     table = list(zip_longest(header, *rows))[: len(header)]
-    columns_below = [column[1:] for column in table]
-    return _Table(names, columns_below, skip + units + 2, text.decimal or ".")
+    return _Table(names, [column[1:] for column in table], skip + units + 2, text.decimal or ".")
 
 
 def _read_mat(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _Table:
     mat = read_mat(path, columns)
-    lengths = {name: len(values) for name, values in mat.items()}
-    if len(set(lengths.values())) > 1:
-        counts = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
-        raise DataError(f"'{path}' must have as many values in every variable, but it has {counts}")
+    require_lengths(path, "values in every variable", mat)
     return _Table(list(mat), [values if values.dtype.kind in "iuf" else values.tolist() for values in mat.values()])
 
 

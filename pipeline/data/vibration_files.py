@@ -264,23 +264,22 @@ def _assemble(
             f"{len(pairs) * present.sum()} are missing ({describe_first(missing[0])})"
         )
     displacement = np.zeros(shape, dtype=complex)
-    values = table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"]))
-    displacement[at_point, at_channel.ravel(), at_run] = values
+    displacement[at_point, at_channel.ravel(), at_run] = table["amplitude_m"] * np.exp(
+        1j * np.radians(table["phase_deg"])
+    )
     noise = UNSTATED
     if _DEVIATION in table:
         noise = np.zeros(shape)
         noise[at_point, at_channel.ravel(), at_run] = np.nan_to_num(table[_DEVIATION])
     speeds = rpm * RAD_S_PER_RPM
-    frequencies = None
-    if _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all():
-        frequencies = _read_frequencies(table, path, speeds, runs, at_point, at_run)
+    asynchronous = _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all()
     return VibrationDataset(
         speeds,
         runs,
         tuple(pairs),
         displacement,
         excitations,
-        frequencies,
+        _read_frequencies(table, path, speeds, runs, at_point, at_run) if asynchronous else None,
         conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
         operating=operating,
         present=present,

@@ -73,8 +73,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
     asynchronous = {run.name for run in config.runs if any(config.state_frequency(run).values())}
-    if config.slow_roll:  # runout turns with the shaft
-        slow = config.slow_roll
+    if slow := config.slow_roll:  # runout turns with the shaft
         runs = tuple(run if run.name in asynchronous else remove_runout(run, slow) for run in runs)
     sweeps = {run.name: bias for run in runs if (bias := measure_sweep(run, config.most_lag))}
     notes += [

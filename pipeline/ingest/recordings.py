@@ -19,6 +19,7 @@ from pipeline.data.mat_files import (
     list_mat,
     open_measured,
     read_mat,
+    require_lengths,
     require_names,
     require_room,
     require_unpacked,
@@ -110,10 +111,7 @@ def check_channels(path: Path, channels: Mapping[str, np.ndarray], too_large: fl
                 f"'{path}' must have one row of numbers in '{name}', but it has {values.dtype} values of shape "
                 f"{values.shape}: store each channel by itself"
             )
-    lengths = {name: len(values) for name, values in channels.items()}
-    if len(set(lengths.values())) > 1:
-        text = ", ".join(f"'{name}' {count}" for name, count in lengths.items())
-        raise DataError(f"'{path}' must have as many samples in every channel, but it has {text}")
+    require_lengths(path, "samples in every channel", channels)
     for name, values in channels.items():
         if values.size and max(-float(values.min()), float(values.max())) < too_large:
             continue
@@ -123,7 +121,7 @@ def check_channels(path: Path, channels: Mapping[str, np.ndarray], too_large: fl
                 f"'{path}' must have finite numbers, but channel '{name}' has {values[bad[0]]} at sample {bad[0] + 1} "
                 f"({len(bad)} in all)"
             )
-    count = next(iter(lengths.values()))
+    count = len(next(iter(channels.values())))
     if count < 2:
         raise DataError(f"'{path}' must have samples, but its channels have {count}")
     return count
@@ -178,10 +176,7 @@ def _read_rate(path: Path, attribute: str | None, places: Sequence[Any]) -> floa
         return None
     for place in [*places, *(place.parent for place in places)]:
         if attribute in place.attrs:
-            value = np.asarray(place.attrs[attribute])
-            if value.size != 1 or value.dtype.kind not in "iuf" or not 0 < float(value.reshape(-1)[0]) < np.inf:
-                raise DataError(f"'{path}' must have a rate in Hz in the attribute '{attribute}', but it has {value!r}")
-            return float(value.reshape(-1)[0])
+            return _to_rate(path, f"attribute '{attribute}'", np.asarray(place.attrs[attribute]))
     known = sorted({str(name) for place in places for name in place.attrs})
     raise DataError(
         f"'{path}' must have the attribute '{attribute}' at a channel, its group or the file, but it has "
@@ -194,10 +189,14 @@ def _read_variables(
 ) -> tuple[Channels, float | None]:
     """Of files that keep the rate beside the channels, in a variable of that name."""
     every = load(path, [*names, *([rate] if rate else [])])
-    stated = every[rate].reshape(-1) if rate else None
-    if stated is not None and (len(stated) != 1 or not 0 < float(stated[0]) < np.inf):
-        raise DataError(f"'{path}' must have a rate in Hz in the variable '{rate}', but it has {stated[:3]}")
-    return {name: every[name] for name in names}, None if stated is None else float(stated[0])
+    stated = _to_rate(path, f"variable '{rate}'", every[rate]) if rate else None
+    return {name: every[name] for name in names}, stated
+
+
+def _to_rate(path: Path, where: str, stated: np.ndarray) -> float:
+    if stated.size != 1 or stated.dtype.kind not in "iuf" or not 0 < float(stated.reshape(-1)[0]) < np.inf:
+        raise DataError(f"'{path}' must have a rate in Hz in the {where}, but it has {stated.reshape(-1)[:3]}")
+    return float(stated.reshape(-1)[0])
 
 
 def _list_mat(path: Path) -> Contents:
@@ -282,8 +281,7 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
 
 
 def _list_wav(path: Path) -> Contents:
-    channels, _ = _read_wav(path, (), None)
-    return Contents(dict.fromkeys(channels, ""), rated=True)
+    return Contents(dict.fromkeys(_read_wav(path, (), None)[0], ""), rated=True)
 
 
 _Read = Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]

@@ -8,7 +8,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -155,17 +155,32 @@ def _pack(path: Path, size: int) -> None:
         file.writestr("xl/media/image.png", bytes(size))
 
 
-def _stretch(path: Path) -> None:
+def _stretch(path: Path, rows: Iterable[int] = range(1, 800), column: int = 16384) -> None:
     book = openpyxl.Workbook()
-    for row in range(1, 800):
-        book.active.cell(row, 16384, 1.0)
+    for row in rows:
+        book.active.cell(row, column, 1.0)
     book.save(path)
 
 
+def _space(path: Path) -> None:
+    """A million rows without a cell."""
+    TABLE.to_excel(path, index=False)
+    with ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    rows = "".join(f'<row r="{row}"/>' for row in range(100, 1_000_000)).encode()
+    parts[SHEET] = parts[SHEET].replace(b"</sheetData>", rows + b"</sheetData>")
+    with ZipFile(path, "w", ZIP_DEFLATED) as file:
+        for name, part in parts.items():
+            file.writestr(name, part)
+
+
+SHEET = "xl/worksheets/sheet1.xml"
 UNWRITTEN = partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True)
 BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "unpacked sheets": ("a.xlsx", partial(_pack, size=10**7), "must unpack to at most 30 times its"),
     "a cell in the last column": ("a.xlsx", _stretch, "must unpack to at most 100 times its"),
+    "blank rows": ("a.xlsx", _space, "50,000 blank ones together, but row 50,062 is one more"),
+    "the last row": ("a.xlsx", partial(_stretch, rows=[1, 2**20], column=1), "but row 50,002 is one more"),
     "zeros": ("a.npz", lambda path: np.savez_compressed(path, a=np.zeros(13 * 10**6)), "it asks for 104,000,128"),
     "values that nobody wrote": ("a.h5", UNWRITTEN, "it asks for 80,000,000,000"),
     "of MATLAB": ("a.mat", UNWRITTEN, "it asks for 80,000,000,000"),
