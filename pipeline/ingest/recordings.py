@@ -5,6 +5,7 @@ Legend: n samples.
 
 from __future__ import annotations
 
+import struct
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -270,6 +271,12 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of parts that hold no samples
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         rate, samples = wavfile.read(file)
+        file.seek(0)
+        head = file.read(1 << 16)  # SciPy takes samples of other bytes where the two contradict each other
+        form = ">HHIIHH" if head[:4] == b"RIFX" else "<HHIIHH"
+        _, count, _, _, block, bits = struct.unpack_from(form, head, head.index(b"fmt ") + 8)
+        if block != count * -(-bits // 8):
+            raise ValueError(f"its blocks must have {bits} bits for each of {count} channels, but have {block} bytes")
         every = {str(i): column for i, column in enumerate(samples.reshape(len(samples), -1).T, 1)}
         require_names(path, "channel", names, every)
         middle, full = 0.0, 1.0

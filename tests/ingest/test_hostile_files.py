@@ -68,7 +68,8 @@ def _arrays(path: Path, read_by: Callable[[Path], Any]) -> np.ndarray:
 
 
 def _sets(path: Path) -> np.ndarray:
-    return np.stack([one["data"] for one in pyuff.UFF(str(path)).read_sets() if one["type"] == 58], axis=1)
+    sets = np.atleast_1d(pyuff.UFF(str(path)).read_sets())  # a single set is none of a list
+    return np.stack([one["data"] for one in sets if one["type"] == 58], axis=1)
 
 
 _hdf5 = partial(_arrays, read_by=h5py.File)
@@ -192,6 +193,11 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "one number": ("a.parquet", pd.DataFrame({"a": np.ones(13 * 10**6)}).to_parquet, "it asks for 104,000,000"),
     "a long header": ("a.csv", lambda path: path.write_text("a," * 9999 + "b\n" + "1\n" * 2000), "it asks for 160,"),
     "a long field": ("a.csv", lambda path: path.write_text(f"a,b\n1,{'1' * 60000}x\n2,3\n" + '"'), "must have finite"),
+    "bits of a sample": (
+        "a.wav",
+        lambda path: path.write_bytes(whole("wav")[:34] + b"\2" + whole("wav")[35:]),  # SciPy reads each byte as one
+        "must have 2 bits for each of 2 channels, but have 4 bytes",
+    ),
     "a size": ("a.mat", lambda path: path.write_bytes(struct.pack("5i", 0, 2**30, 1, 0, 2) + b"a\0"), "MAT file"),
 }
 
