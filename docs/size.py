@@ -24,7 +24,7 @@ STATEMENTS = {
     "config": 1735,
     "laws": 482,
     "rotor": 735,
-    "data": 1065,
+    "data": 1069,
     "parameters": 452,
     "sweep": 246,
     "ingest": 1646,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18696, 14500),
+    "statements of pipeline/": (18700, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13361, 13000),
+    "statements of tests/": (13372, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (759, 380),
     "their files": (111, 75),

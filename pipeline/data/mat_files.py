@@ -80,7 +80,7 @@ def read_mat(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     from h5py import is_hdf5
 
     with open_measured(path, "complete MAT file"):
-        every = _open_hdf5(path, names) if is_hdf5(path) else _open_old(path)
+        every = _open_hdf5(path, names) if is_hdf5(path) else _open_old(path, names)
     return {name: _take(path, every, name) for name in names}
 
 
@@ -93,16 +93,25 @@ def list_mat(path: Path) -> dict[str, tuple[int, ...]]:
     return {name: values.shape for name, values in every.items() if values.dtype.kind in "iuf"}
 
 
-def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: float = 20.0) -> dict[str, np.ndarray]:
-    """Every variable of a file before version 7.3, fields of structs by dotted names.
+def _open_old(
+    path: Path, wanted: Iterable[str] = (), seconds: float = 10.0, memory: float = 1e9, times: float = 20.0
+) -> dict[str, np.ndarray]:
+    """The variables of a file before version 7.3, fields of structs by dotted names: those ``wanted`` and empty ones
+    for the others' names, or all.
 
-    A changed bit in such a file ends the interpreter that reads it, so another one does: within so many ``seconds``,
-    bytes of ``memory`` and, beyond it, ``times`` those of the file.
+    A changed bit in such a file ends the interpreter that reads it, so another one does: within so many bytes of
+    ``memory`` and ``times`` those of the file, and so many ``seconds`` and one for each 10 MB.
     """
     from safetensors.numpy import load
 
+    size, firsts = path.stat().st_size, sorted({re.split(r"[.(]", name)[0] for name in wanted})
     content = load(
-        ask_aside(f"{__name__}:pack_old", str(path.absolute()), seconds, memory + times * path.stat().st_size)
+        ask_aside(
+            f"{__name__}:pack_old",
+            json.dumps([str(path.absolute()), firsts]),
+            seconds + size / 1e7,
+            memory + times * size,
+        )
     )
     names, texts = json.loads(content["#"].tobytes())  # safetensors gives them in any order
     return {name: content[name] for name in names} | {
@@ -110,12 +119,16 @@ def _open_old(path: Path, seconds: float = 60.0, memory: float = 2e9, times: flo
     }
 
 
-def pack_old(path: str) -> bytes:
+def pack_old(question: str) -> bytes:
     """The variables of a MAT file as safetensors; the texts as JSON, which are none of its kinds."""
     from safetensors.numpy import save
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
-    every = dict(_walk(loadmat(path, simplify_cells=True)))
+    path, firsts = json.loads(question)
+    known = [name for name, *_ in whosmat(path) if not name.startswith("__")]
+    # With the last variable, since a file that is cut lacks some of it.
+    content = loadmat(path, variable_names=[*firsts, *known[-1:]] if firsts else None, simplify_cells=True)
+    every = dict.fromkeys(set(known) - set(content), np.empty(0)) | dict(_walk(content))
     texts = {name: every.pop(name).tolist() for name in list(every) if every[name].dtype.kind in "UO"}
     every["#"] = np.frombuffer(json.dumps([list(every), texts], default=str).encode(), np.uint8)
     return save({name: np.ascontiguousarray(values) for name, values in every.items()})  # it takes the rows as they lie

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
@@ -209,6 +210,20 @@ def test_bombs(bomb: str, tmp_path: Path) -> None:
     write(tmp_path / name)
     with refused(name, sentence):
         read_recording(tmp_path / name, ["a"], CsvConfig(), rate=100.0)
+
+
+def test_a_variable_that_nobody_asks_for_is_not_unpacked(tmp_path: Path) -> None:
+    """1.6 GB of zeros in 2 MB, before what is asked for; themselves they are refused."""
+    path, packed = tmp_path / "a.mat", zlib.compressobj()
+    scipy.io.savemat(path, SIGNALS)
+    size = 1600 * 10**6
+    head = struct.pack("<14i", 14, 48 + size, 6, 8, 6, 0, 5, 8, 1, size // 8, 1 | 1 << 16, ord("z"), 9, size)
+    begin, block = ((packed.compress(part) + packed.flush(zlib.Z_FULL_FLUSH)) for part in (head, bytes(10**6)))
+    whole_file, bomb = path.read_bytes(), begin + 1600 * block
+    path.write_bytes(whole_file[:128] + struct.pack("<2i", 15, len(bomb)) + bomb + whole_file[128:])
+    assert np.array_equal(read_recording(path, ["a"], CsvConfig(), rate=1.0)[1]["a"], SIGNALS["a"])
+    with refused("a.mat", "MemoryError"):
+        read_recording(path, ["z"], CsvConfig(), rate=1.0)
 
 
 def test_columns_whose_field_never_ends(tmp_path: Path) -> None:
