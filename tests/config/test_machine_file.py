@@ -187,6 +187,7 @@ def test_a_folder_that_is_refused(files: dict[str, str], words: str, folder: Pat
         ("bearing: {kind: ball}\n", ["machine.bearing: must be a key", "did you mean 'bearings'?"]),
         ("x: !!python/object/apply:os.system ['echo ran']\n", ["must"]),
         ("rotor: {file: '${oc.env:HOME}'}\n", ["refer to its own keys alone", "has ${oc.env:HOME}"]),
+        ("x: " + "[" * 10**5, ["must be YAML with plain keys", "recursion"]),
         ("x0: &x0 [1, 1]\n" + "".join(f"x{i}: &x{i} [*x{i - 1}, *x{i - 1}]\n" for i in range(1, 40)), ["aliases make"]),
     ],
 )
