@@ -204,5 +204,5 @@ def _open_hdf5(path: Path, wanted: Iterable[str]) -> dict[str, np.ndarray]:
 def require_values(path: Path, dataset: Any) -> None:
     """Raise DataError for a dataset of HDF5 that asks for more memory than a file of its size, or for another file."""
     require_room(path, dataset.nbytes)
-    if dataset.external:
+    if dataset.external or dataset.is_virtual or dataset.file.filename != str(path):
         raise DataError(f"'{path}' must hold its values, but '{dataset.name}' takes them from another file: copy them")

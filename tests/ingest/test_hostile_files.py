@@ -176,6 +176,17 @@ def _space(path: Path) -> None:
             file.writestr(name, part)
 
 
+def _link(path: Path, link: object) -> None:
+    write_hdf5(path.with_name("other.h5"), SIGNALS)
+    with h5py.File(path, "w") as file:
+        if isinstance(link, h5py.VirtualLayout):
+            file.create_virtual_dataset("a", link)
+        else:
+            file["a"] = link
+
+
+VIRTUAL = h5py.VirtualLayout((60,), float)
+VIRTUAL[:] = h5py.VirtualSource("other.h5", "a", (60,))
 SHEET = "xl/worksheets/sheet1.xml"
 UNWRITTEN = partial(write_hdf5, channels={"a": None}, dtype=float, shape=10**10, chunks=True)
 BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
@@ -191,6 +202,8 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         partial(write_hdf5, channels={"a": None}, dtype=float, shape=1, external=[("/etc/hostname", 0, 8)]),
         "takes them from another",
     ),
+    "a link": ("a.h5", partial(_link, link=h5py.ExternalLink("other.h5", "a")), "takes them from another"),
+    "a virtual array": ("a.h5", partial(_link, link=VIRTUAL), "takes them from another"),
     "one number": ("a.parquet", pd.DataFrame({"a": np.ones(13 * 10**6)}).to_parquet, "it asks for 104,000,000"),
     "a long header": ("a.csv", lambda path: path.write_text("a," * 9999 + "b\n" + "1\n" * 2000), "it asks for 160,"),
     "a long field": ("a.csv", lambda path: path.write_text(f"a,b\n1,{'1' * 60000}x\n2,3\n" + '"'), "must have finite"),
