@@ -1,11 +1,11 @@
 # What a person and CI run. `make` alone lists it.
 
-# The Python of .venv, 3.11 to 3.13, by version or path: 3.11, where the figures come from, if none is named and it is
-# there; else uv takes another, or fetches one.
+# The Python of .venv, 3.11.5 to 3.13, by version or path: 3.11, where the figures come from, if none is named and it is
+# there; else uv takes another, or fetches one. Pages of the site need 3.11.5.
 PYTHON ?=
 # A folder of wheels or a page of links to them, pip's by default. Without one, torch's CPU build comes from the index
 # that uv knows; `make env TORCH=cuda` takes the build of the package index.
-WHEELS ?= $(PIP_FIND_LINKS)
+WHEELS := $(or $(WHEELS),$(PIP_FIND_LINKS))
 TORCH ?= $(if $(WHEELS),,cpu)
 
 # Commands of dvc.yaml say `python`: they get the one of .venv. Not exported to every recipe, since the one that
@@ -179,14 +179,15 @@ clean:  ## remove .venv, caches and Hydra's run folders; artifacts, studies and 
 # The stamp is written last. Without one, what lies in .venv is an interrupted install and is made anew;
 # with one, an edited pyproject.toml or constraints.txt updates the environment in place.
 .venv/.installed: export UV_FIND_LINKS = $(WHEELS)
+.venv/.installed .cache/uv/bin/uv: export PIP_FIND_LINKS = $(WHEELS)
 .venv/.installed: pyproject.toml constraints.txt | .cache/uv/bin/uv
 	@test -e $@ || rm -rf .venv
-	@test -e $@ || $(UV) venv -q --seed --no-python-downloads -p '$(or $(PYTHON),3.11)' .venv 2>/dev/null \
-		|| $(UV) venv -q --seed -p '$(or $(PYTHON),>=3.11,<3.14)' .venv
+	@test -e $@ || $(UV) venv -q --seed --no-python-downloads -p '$(or $(PYTHON),>=3.11.5,<3.12)' .venv 2>/dev/null \
+		|| $(UV) venv -q --seed --clear -p '$(or $(PYTHON),>=3.11.5,<3.14)' .venv
 	@rm -f $@
-	@.venv/bin/python -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || { \
-		echo "Python 3.11, 3.12 or 3.13 is needed, and '$(PYTHON)' is `.venv/bin/python --version`." \
-			"Leave PYTHON out, or name one of these: make env PYTHON=3.11" >&2; \
+	@.venv/bin/python -c 'import sys; sys.exit(not (3, 11, 5) <= sys.version_info[:3] < (3, 14))' || { \
+		echo "Python 3.11.5 to 3.13 is needed, and '$(PYTHON)' is `.venv/bin/python --version`." \
+			"Leave PYTHON out, or name one of these: make env PYTHON=3.13" >&2; \
 		exit 1; }
 	@echo "Installing the pinned packages into .venv (2.7 GB and some minutes the first time) ..."
 	@$(UV) pip install -q -p .venv $(addprefix --torch-backend=,$(filter cpu,$(TORCH))) $(PACKAGES) || { \
