@@ -18,6 +18,8 @@ import pandas as pd
 import pytest
 from conftest import Run, refused, with_machine
 from damaged import answers
+from measured_files import table_config
+from reading import wide_runs, with_ingest
 from running import contents, left_alone
 
 from pipeline.config.schema import Config
@@ -141,32 +143,42 @@ def test_a_writer_that_fails_half_way(error: BaseException, tmp_path: Path) -> N
     assert contents(tmp_path) == {"x.txt": b"old"}
 
 
-@pytest.mark.parametrize("stage", ["configure", "generate", "train", "evaluate", "robustness", "predict"])
-def test_a_folder_that_cannot_be_made(stage: str, run: Run, base: Config, tmp_path: Path) -> None:
+STAGES = ["generate", "ingest", "train", "evaluate", "robustness", "predict", "export", "identify"]
+NEW = {"ingest": "measured"}
+"""Its folder, where a stage replaces no data that others made."""
+
+
+@pytest.fixture
+def of(stage: str, base: Config, tmp_path: Path) -> Config:
+    """What a ``stage`` works on: ingest on recordings."""
+    return with_ingest(table_config(wide_runs(tmp_path))) if stage == "ingest" else base
+
+
+@pytest.mark.parametrize("stage", ["configure", *STAGES])
+def test_a_folder_that_cannot_be_made(stage: str, run: Run, of: Config, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("a file")
-    with refused("must be writable", "Not a directory", kind=StorageError):
-        run(stage, base, tmp_path / "file" / "x")
-    assert contents(tmp_path) == {"file": b"a file"}
+    with left_alone(tmp_path), refused("must be writable", "Not a directory", kind=StorageError):
+        run(stage, of, tmp_path / "file" / "x")
 
 
-@pytest.mark.parametrize("stage", ["generate", "train", "evaluate", "robustness", "predict"])
+@pytest.mark.parametrize("stage", STAGES)
 def test_a_full_disk_in_a_stage(
-    stage: str, run: Run, base: Config, mine: Path, capsys: pytest.CaptureFixture[str]
+    stage: str, run: Run, of: Config, mine: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A stage that can't save ends in a sentence; every file is the old one or a complete new one."""
     names = contents(mine).keys()
-    with refused("must be writable", kind=StorageError), largest_file(300):
-        run(stage, base, mine)
+    with refused("must be writable", kind=StorageError), largest_file(100):
+        run(stage, of, mine / NEW.get(stage, ""))
     assert contents(mine).keys() == names
-    assert sum(len(raw) == 300 for raw in contents(mine).values()) == 0
+    assert sum(len(raw) == 100 for raw in contents(mine).values()) == 0
 
 
-@pytest.mark.parametrize("stage", ["generate", "train", "evaluate", "robustness", "predict"])
-def test_a_read_only_folder(stage: str, run: Run, base: Config, mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_read_only_folder(stage: str, run: Run, of: Config, mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a folder that can be read but not written, every stage ends in a sentence and changes nothing."""
     monkeypatch.setattr(os, "replace", _raising(errno.EROFS))
     with left_alone(mine), refused("must be writable", "Read-only file system", kind=StorageError):
-        run(stage, base, mine)
+        run(stage, of, mine / NEW.get(stage, ""))
 
 
 def identified(base: Config, folder: Path, **sections: object) -> bytes:
