@@ -5,7 +5,13 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
+
+# The systems are small: more threads of numpy's BLAS, or of torch where no stage sets them (`threads`), cost more than
+# they give, up to twenty times. Of a script's, too: both libraries read it when they are imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
     from pipeline.data.sensors import NoiseModel as NoiseModel

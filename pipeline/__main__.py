@@ -350,10 +350,6 @@ if __name__ == "__main__":
     # The workers of a parallel multirun import Job by name, and `__main__` is another module there.
     from pipeline.__main__ import main as importable_main
 
-    # The systems are small: more threads of numpy's BLAS, or of torch where no stage sets them (`threads`), cost more
-    # than they give.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     # The packages make a million objects that stay: looking through them again and again is a fifth of a start.
     gc.set_threshold(100_000, 50, 100)
     _leave(importable_main())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -56,6 +57,18 @@ def imported_by(*commands: list[str]) -> tuple[list[int], list[str], set[str]]:
     assert done.stdout, done.stderr
     codes, said, modules = json.loads(done.stdout.splitlines()[-1])
     return codes, said, set(modules)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", ["", "2"])
+def test_a_script_takes_one_thread_unless_it_states_more(stated: str) -> None:
+    """As torch and the BLAS of numpy themselves say; unasked, each takes every core."""
+    ours = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    others = {name: value for name, value in os.environ.items() if name not in ours}
+    given = others | (dict.fromkeys(ours, stated) if stated else {})
+    code = "import pipeline, numpy, torch; from threadpoolctl import threadpool_info as info; print(info())"
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=given, capture_output=True, text=True).stdout
+    assert set(re.findall(r"'num_threads': (\d+)", said)) == {stated or "1"}
 
 
 @pytest.mark.slow
