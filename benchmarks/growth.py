@@ -137,3 +137,29 @@ def csv() -> Times:
         path = Path(folder) / "x.csv"
         np.savetxt(path, np.random.default_rng(0).random((1_000_000, 3)), "%.9f", ",", header="t,x,y", comments="")
         return in_turns(lambda: read_table(path, dict.fromkeys("txy", "number")), lambda: pd.read_csv(path), turns=3)
+
+
+@BENCHMARKS.add("uff", "a binary universal file of 8 records of 250,000 samples", "pyuff's read_sets", Aim(1.5))
+def uff() -> Times:
+    """Ours reads by pyuff, and looks for every mark of a cut file."""
+    import numpy as np
+    import pyuff
+
+    from pipeline.ingest.uff import read_uff
+
+    record = pyuff.prepare_58(
+        binary=1,
+        func_type=1,
+        rsp_node=1,
+        rsp_dir=1,
+        ref_node=1,
+        ref_dir=1,
+        data=np.random.default_rng(0).random(250_000),
+        x=np.arange(250_000.0),
+        abscissa_spacing=1,
+        orddenom_spec_data_type=0,
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "x.uff"
+        pyuff.UFF(str(path)).write_sets([record] * 8, mode="add")
+        return in_turns(lambda: read_uff(path), lambda: pyuff.UFF(str(path)).read_sets(), turns=3)
