@@ -69,8 +69,8 @@ def _arrays(path: Path, read_by: Callable[[Path], Any]) -> np.ndarray:
 
 
 def _sets(path: Path) -> np.ndarray:
-    sets = np.atleast_1d(pyuff.UFF(str(path)).read_sets())  # a single set is none of a list
-    return np.stack([one["data"] for one in sets if one["type"] == 58], axis=1)
+    """A single set is no list for pyuff."""
+    return np.stack([s["data"] for s in np.atleast_1d(pyuff.UFF(str(path)).read_sets()) if s["type"] == 58], axis=1)
 
 
 _hdf5 = partial(_arrays, read_by=h5py.File)
@@ -176,13 +176,10 @@ def _space(path: Path) -> None:
             file.writestr(name, part)
 
 
-def _link(path: Path, link: object) -> None:
+def _link(path: Path, link: Callable[[h5py.File], object]) -> None:
     write_hdf5(path.with_name("other.h5"), SIGNALS)
     with h5py.File(path, "w") as file:
-        if isinstance(link, h5py.VirtualLayout):
-            file.create_virtual_dataset("a", link)
-        else:
-            file["a"] = link
+        link(file)
 
 
 VIRTUAL = h5py.VirtualLayout((60,), float)
@@ -202,8 +199,16 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         partial(write_hdf5, channels={"a": None}, dtype=float, shape=1, external=[("/etc/hostname", 0, 8)]),
         "takes them from another",
     ),
-    "a link": ("a.h5", partial(_link, link=h5py.ExternalLink("other.h5", "a")), "takes them from another"),
-    "a virtual array": ("a.h5", partial(_link, link=VIRTUAL), "takes them from another"),
+    "a link": (
+        "a.h5",
+        partial(_link, link=lambda file: file.update({"a": h5py.ExternalLink("other.h5", "a")})),
+        "takes them from another",
+    ),
+    "a virtual array": (
+        "a.h5",
+        partial(_link, link=lambda file: file.create_virtual_dataset("a", VIRTUAL)),
+        "takes them from another",
+    ),
     "one number": ("a.parquet", pd.DataFrame({"a": np.ones(13 * 10**6)}).to_parquet, "it asks for 104,000,000"),
     "a long header": ("a.csv", lambda path: path.write_text("a," * 9999 + "b\n" + "1\n" * 2000), "it asks for 160,"),
     "a long field": ("a.csv", lambda path: path.write_text(f"a,b\n1,{'1' * 60000}x\n2,3\n" + '"'), "must have finite"),

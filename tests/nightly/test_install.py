@@ -22,10 +22,13 @@ pytestmark = pytest.mark.skipif(not UV, reason="no uv here (make env gets it)")
 )
 def test_pythons_for_which_all_pins_have_wheels(python: str, resolves: bool) -> None:
     """Hydra's antlr4 is published as source alone."""
-    words = ["--extra=test", "--extra=docs", "-c", "constraints.txt", "--python-version", python]
-    wheels = ["--only-binary=:all:", "--no-binary=antlr4-python3-runtime"]
-    command = [str(UV), "pip", "compile", "-q", "pyproject.toml", *words, *wheels]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    command = f"pip compile -q pyproject.toml --extra test --extra docs -c constraints.txt --python-version {python}"
+    done = subprocess.run(
+        [str(UV), *command.split(), "--only-binary=:all:", "--no-binary=antlr4-python3-runtime"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     if "Failed to fetch" in done.stderr:
         pytest.skip("no package index can be reached")
     assert (done.returncode == 0) == resolves, done.stderr
@@ -45,7 +48,18 @@ def test_an_environment_from_a_folder_of_wheels(tmp_path: Path) -> None:
             file.writestr(f"{name}-1.dist-info/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
             file.writestr(f"{name}-1.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
             file.writestr(f"{name}-1.dist-info/RECORD", "")
-    made = [f"WHEELS={wheels}", "UV_OFFLINE=1", "PIP_NO_INDEX=1", f"PYTHON={sys.executable}", "PACKAGES=tiny"]
-    kept = os.environ | {"UV_CACHE_DIR": str(tmp_path / "kept")}
-    subprocess.run(["make", "env", *made], cwd=tmp_path, env=kept, check=True)
+    subprocess.run(
+        [
+            "make",
+            "env",
+            "PACKAGES=tiny",
+            "UV_OFFLINE=1",
+            "PIP_NO_INDEX=1",
+            f"WHEELS={wheels}",
+            f"PYTHON={sys.executable}",
+        ],
+        cwd=tmp_path,
+        env=os.environ | {"UV_CACHE_DIR": str(tmp_path / "kept")},
+        check=True,
+    )
     subprocess.run([tmp_path / ".venv/bin/python", "-c", "import pip, tiny"], check=True)
