@@ -272,7 +272,7 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         rate, samples = wavfile.read(file)
         file.seek(0)
-        head = file.read(1 << 16)  # SciPy takes samples of other bytes where the two contradict each other
+        head = file.read(1 << 20)  # SciPy takes samples of other bytes where the two contradict each other
         form = ">HHIIHH" if head[:4] == b"RIFX" else "<HHIIHH"
         _, count, _, _, block, bits = struct.unpack_from(form, head, head.index(b"fmt ") + 8)
         if block != count * -(-bits // 8):
