@@ -80,7 +80,7 @@ _INTRODUCTION = [
     "in a process of its own), several times. The table has the median of the ratios, the smallest and the largest, "
     "and the median time of both sides. An aim `at most` is of our time over the peer's; `at least` is how many times "
     "as fast as the peer; `below` is of our time alone.",
-    "hsbalance 0.5.5 (influence coefficients) is no peer: it installs beside our packages, but brings twenty, among "
+    "hsbalance 0.5.5 (influence coefficients) is no peer: it resolves beside our packages, but brings ten more, among "
     "them the commercial solver Xpress, for one small least-squares problem.",
 ]
 
