@@ -179,9 +179,9 @@ def _temper(
             weights = levenberg_marquardt(rough, weights, limited, until_still(1e-3), by_diagonal=True)
         # The noise follows from what is predicted: ends are compared by their likelihood, each at its own noise.
         for _ in range(2):
-            there = problem.update(weights)
-            readings = there.readings.follow(there.predicted(weights))
-            rough = replace(there, readings=readings, exact=True)
+            solved = problem.update(weights)
+            readings = solved.readings.follow(solved.predicted(weights))
+            rough = replace(solved, readings=readings, exact=True)
             weights = levenberg_marquardt(rough, weights, limited, until_still(1e-3), by_diagonal=True)
         ends.append((float(rough.rows(weights).square().sum()) + rough.readings.log_determinant(), weights))
     return min(ends, key=lambda end: end[0])[1]

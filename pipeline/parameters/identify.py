@@ -47,11 +47,12 @@ class IdentifyConfig(Section):
     ``bearings`` has exceptions by node; ``shared`` makes all bearings alike. With ``unbalance_planes`` a residual
     unbalance at these nodes is identified too, with ``model_parameters`` uncertain numbers of rotor, weights and
     probes (loss ``response``); a coupling that they name acts at ``coupling_node`` (null: at the ends of the shaft
-    without disc and bearing), and an added mass at the bearings of ``seal_nodes``. ``known_within`` is a factor: so near to ``known_stiffness`` and ``known_damping``
-    (null: to their initial guess, from which the fit only starts otherwise) coefficients are expected, one standard
-    deviation of the logarithm (loss ``response``). Each part of a residual unbalance is nothing, plus or minus
-    ``known_unbalance`` (null: nothing is known of it). With ``usual_tolerances`` what is never known exactly of shaft,
-    weights and probes, and is not among the model parameters, widens all deviations.
+    without disc and bearing), and an added mass at the bearings of ``seal_nodes``. ``known_within`` is a factor: so
+    near to ``known_stiffness`` and ``known_damping`` (null: to their initial guess, from which the fit only starts
+    otherwise) coefficients are expected, one standard deviation of the logarithm (loss ``response``). Each part of a
+    residual unbalance is nothing, plus or minus ``known_unbalance`` (null: nothing is known of it). With
+    ``usual_tolerances`` what is never known exactly of shaft, weights and probes, and is not among the model
+    parameters, widens all deviations.
     """
 
     unknowns: Unknowns = Field(min_length=1)

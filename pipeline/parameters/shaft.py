@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from pipeline.parameters.model import ModelParameter
 
 
-def _change_modulus(parameter: ModelParameter, rotor: RotorModel) -> Mapping[str, np.ndarray]:
-    shaft = np.arange(rotor.n_dof) < DOF_PER_NODE * rotor.n_nodes
-    return {"stiffness": parameter.deviation * rotor.stiffness * shaft}
-
-
 def _change_disc(parameter: ModelParameter, rotor: RotorModel, first: int, last: int) -> Mapping[str, np.ndarray]:
     """What the disc adds to its node's DOF from ``first`` on, up to ``last``."""
     start, kept = translation_dof(parameter.place, 0), np.zeros_like(rotor.mass)
@@ -68,7 +63,9 @@ KINDS = (
         meaning="of the shaft, as a share, with the shear modulus",
         places=everywhere,
         usual=0.01,
-        rotor=_change_modulus,
+        rotor=lambda parameter, rotor: {
+            "stiffness": parameter.deviation * rotor.stiffness * (np.arange(rotor.n_dof) < DOF_PER_NODE * rotor.n_nodes)
+        },
     ),
     Kind(
         name="density",
