@@ -17,7 +17,7 @@ from pipeline.config.schema import Config
 from pipeline.data.dataset import Excitation
 from pipeline.data.excitation_files import Runs, list_candidates, scale_runs
 from pipeline.data.operating import space_evenly
-from pipeline.data.sensors import list_directions, project
+from pipeline.data.sensors import Channels, list_directions, project
 from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError, nearest
 from pipeline.laws.journal import JournalLaw
@@ -69,11 +69,11 @@ class Planner:
         """The candidate runs, small enough. Raises ConfigError for a node that the rotor lacks."""
         return self.limit(list_possible(self.config, self.rotor))
 
-    def measure(self, runs: Runs) -> list[Measurement]:
-        """What the probes would read of the runs in each state, without noise."""
+    def measure(self, runs: Runs, added: Channels = ()) -> list[Measurement]:
+        """What the probes, and the ``added`` ones, would read of the runs in each state, without noise."""
         acting, channels = tuple(itertools.chain(*runs)), configure_sensors(self.config, self.rotor).channels
         seen = [simulate(self.rotor, bearings, acting) for bearings in self.tables]
-        seen = seen if channels is None else [project(complete, channels) for complete in seen]
+        seen = seen if channels is None else [project(complete, channels + added) for complete in seen]
         pairs = zip(seen, self.tables, strict=True)
         return [build_measurement(self.config, self.rotor, dataset, bearings) for dataset, bearings in pairs]
 
@@ -123,6 +123,9 @@ def _try_cures(planner: Planner, plan: Measurement) -> dict[str, float]:
         f"all {len(allowed)} candidate runs": worst(plan, len(allowed)),
         "weights and forces twice as large": worst(planner.measure(double)[0]),
     }
+    if unseen := planner.rotor.unseen_casings(plan.dataset.channels):
+        looking = planner.measure(allowed, list_directions(tuple(unseen.values())))[0]
+        cures[f"probes on the casings of nodes {', '.join(map(str, unseen))}"] = worst(looking)
     if plan.noise.floored and plan.noise.multiplicative:
         cures["probes without a floor"] = worst(replace(plan, noise=plan.noise.with_floor(0.0)))
     if plan.parameters:

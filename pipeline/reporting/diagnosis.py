@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +157,23 @@ def describe_combinations(combinations: Combinations) -> str:
     if untold := [kind for kind in combinations.parameters if kind not in told]:
         text += f". They tell next to nothing of {', '.join(untold)}"
     return text + "."
+
+
+def describe_series(combinations: Combinations, unseen: Collection[int], kept: float = 0.4) -> str:
+    """A sentence on the bearings (nodes) whose casings are ``unseen`` by probes, where the data leave ``kept`` or more
+    of what is stated of every number of the support; empty where there are none."""
+    spans = combinations.parameters.items()
+    left = {
+        node: min((least for name, (least, _) in spans if f" node {node} " in name), default=0.0) for node in unseen
+    }
+    series = [str(node) for node in unseen if left[node] > kept]
+    if not series:
+        return ""
+    return (
+        f"of bearing and support at node {' and '.join(series)} these probes tell only the two in series, since none "
+        f"looks at the casing ({write_rough(min(left[int(node)] for node in series))} or more of what is stated of the "
+        "support is left): add probes there (measures: casing); stage=design design.accuracy=0.02 says what they bring"
+    )
 
 
 def summarize_combinations(combinations: Combinations) -> dict[str, Any]:

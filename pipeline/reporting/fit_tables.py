@@ -324,6 +324,8 @@ def print_verdicts(name: str, judged: Mapping[str, Any]) -> None:
     table(f"{name}: can it be trusted?", ["coefficient", "verdict", "+- (95 %)", "why"], rows)
     for entry in judged["bearings"]:
         say(f"{name}: bearing at node {entry['node']}: {entry['verdict']}. {entry['reason']}")
+    if judged.get("supports"):
+        say(f"{name}: supports: {judged['supports']}")
     whole = judged["machine"]
     say(
         f"{name}: {whole['verdict']}. {whole['reason']}"

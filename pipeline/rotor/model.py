@@ -7,6 +7,7 @@ DOF are uncoupled from these and left out. T seals, S speeds, R rows of seals. S
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -111,6 +112,11 @@ class RotorModel:
     def n_views(self) -> int:
         """Nodes that probes may have: shaft and casings, and for each casing the shaft's motion less it."""
         return self.n_nodes + 2 * len(self.casings)
+
+    def unseen_casings(self, channels: Collection[tuple[int, float]]) -> dict[int, int]:
+        """Bearing node -> the node of its casing, of those along which no channel (node, angle) looks."""
+        places, seen = enumerate(self.casings, self.n_nodes), {node for node, _ in channels}
+        return {node: casing for casing, node in places if casing not in seen}
 
     def show(self, node: int) -> np.ndarray:
         """(2, n) x and y that a probe with this ``node`` shows of the DOF."""

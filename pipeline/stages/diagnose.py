@@ -15,6 +15,7 @@ from pipeline.problem.diagnosis import budget_percent
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.diagnosis import (
     describe_combinations,
+    describe_series,
     draw_budget,
     draw_diagnosis,
     list_bearings,
@@ -59,6 +60,8 @@ def run(analysis: Analysis) -> StageRecord:
     if judges and (combined := combine(measurement, setup_of(config))) is not None:
         say(f"{config.name}: {describe_combinations(combined)}")
         summary["combinations"] = summarize_combinations(combined)
+        if series := describe_series(combined, measurement.rotor.unseen_casings(measurement.dataset.channels)):
+            warn(f"{config.name}: {series}")
     written = [
         write_json(work.folder / "diagnosis.json", summary),
         write_table(

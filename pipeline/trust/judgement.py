@@ -24,6 +24,7 @@ from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
 from pipeline.ingest.plausibility import measure_backward
+from pipeline.problem.determination import Determined, describe_determined
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.linearised import Gains, weigh_candidates
@@ -115,7 +116,19 @@ def judge_answer(config: Config, answer: Answer, about: Mapping[str, Any]) -> di
         judged = Judgement(nodes, tuple(verdicts), (reason,), as_felt=_may_have_supports(config)).record()
     else:
         judged = assess(config, answer, about)[0]
-    return judged | {"model": about["model"]}
+    supports = describe_supports(about.get("model_parameters", {}))
+    return judged | {"model": about["model"]} | ({"supports": supports} if supports else {})
+
+
+def describe_supports(fitted: Mapping[str, Mapping[str, float]]) -> str:
+    """Which numbers of supports, or of a base, are determined, in the words of coefficients; empty without any.
+
+    ``fitted`` are the ``model_parameters`` of ``training.json``.
+    """
+    held = [
+        (name.replace("_", " "), n["number_deviation"] / n["number"]) for name, n in fitted.items() if "number" in n
+    ]
+    return describe_determined([Determined(0, name, deviation) for name, deviation in held], len(held))
 
 
 def _may_have_supports(config: Config) -> bool:

@@ -24,10 +24,12 @@ from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
+from pipeline.reporting.diagnosis import describe_series
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor, place_probe
+from pipeline.trust.judgement import describe_supports
 from pipeline.twin.modes import find_modes
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
@@ -158,7 +160,9 @@ def test_casing_probes_tell_bearings_and_supports(
     """From supports that are stated up to twice off: exact readings give all coefficients and supports back to 1e-6 %,
     readings of 1 % and 0.05 um direct coefficients within 1 % and supports within 2 %.
     """
-    off, supports, deviation = errors(fit(measured(measures, noise), default_setup(Guess(1e7, 1e4), constant=True)))
+    answer = fit(measured(measures, noise), default_setup(Guess(1e7, 1e4), constant=True))
+    off, supports, deviation = errors(answer)
+    assert describe_supports(answer.quality.summary["model_parameters"]).startswith("all well determined (support")
     assert np.abs(off[:, which]).max() < film
     assert np.abs(supports).max() < support
     assert (np.abs(supports) < 3.5 * deviation).all()
@@ -173,6 +177,18 @@ def test_the_diagnosis_names_what_shaft_probes_leave_open_and_casing_probes_tell
     assert set(both) == {parameter.name for parameter in measured().parameters}
     assert max(both.values()) < (0.1, 0.1)
     assert max(shaft.values()) > tuple(2 * left for left in max(both.values()))
+
+
+@pytest.mark.slow
+def test_the_diagnosis_says_where_only_the_series_is_told() -> None:
+    """Shaft probes with much noise; the probes that it asks for tell every number of the supports."""
+    setup, noise, words = default_setup(Guess(1e7, 1e4), constant=True), NoiseModel(3e-6, 0.15), []
+    for measures in ((SHAFT,), (SHAFT, CASING)):
+        made = measured(measures, noise)
+        found = combine(made, setup) or pytest.fail("constants have combinations")
+        words.append(describe_series(found, made.rotor.unseen_casings(made.dataset.channels)))
+    assert [text.partition(" these")[0] for text in words] == ["of bearing and support at node 1", ""]
+    assert max(found.parameters.values()) < (0.4, 0.4)
 
 
 CASINGS = tuple((node, angle) for node in (9, 10) for angle in DIRECTIONS.values())
@@ -209,6 +225,17 @@ def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
         _, wrong, deviation = errors(answer)
         off += (wrong / deviation).tolist()
     assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.3
+
+
+def test_the_verdict_names_what_is_determined_of_supports() -> None:
+    """By the limits of coefficients, 5 and 30 %; what has no number of its own is no support's."""
+    fitted = {
+        f"support_mass node 1 {axis}": {"number": 20.0, "number_deviation": d}
+        for axis, d in zip("xy", (0.9, 7.0), strict=True)
+    }
+    told = "support mass node 1 x well determined (+- 4.5 %); support mass node 1 y not determined (+- 35 %)"
+    assert describe_supports({**fitted, "bow": {"deviation": 1e-6}}) == told
+    assert describe_supports({}) == ""
 
 
 def test_what_supports_cannot_do_is_refused() -> None:
