@@ -244,6 +244,12 @@ def _find_class(name: str, content: Any, file: Path) -> Any:
             f"machine.rotor.file must have elements that ROSS {rs.__version__} knows, but '{file}' has a '{word}': "
             f"{nearest(word, known)}; put a DiskElement, BearingElement or ShaftElement of its values in its place"
         )
+    if wide := [key for key in COLUMNS if np.ndim(content.get(key) or 0) > 1]:
+        raise ConfigError(
+            f"machine.rotor.file must have coefficients over one axis, frequency, which is read as the speed, but "
+            f"{wide[0]} of '{name}' in '{file}' has {np.shape(content[wide[0]])} values: save it with those at the "
+            "frequency of each speed"
+        )
     if issubclass(ross_class, rs.DiskElement) and "m" in content:
         return rs.DiskElement
     count, speeds = len(content.get("kxx") or []), len(content.get("frequency") or [])

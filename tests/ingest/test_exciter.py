@@ -70,7 +70,7 @@ def push(seconds: float) -> np.ndarray:
     return sosfilt(butter(4, 300, fs=RATE, output="sos"), np.random.default_rng(0).standard_normal(int(seconds * RATE)))
 
 
-@pytest.mark.parametrize("kind", ["random", "impacts", "stepped sine"])
+@pytest.mark.parametrize("kind", ["random", "impacts", "stepped sine", "sweeps"])
 def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     """Circular complex errors are within sqrt(3) of their root mean square 95 times of 100."""
     time, boxcar = np.arange(int(4 * RATE)) / RATE, {"averaging": {"window": "boxcar", "segment": 4.0}}
@@ -81,6 +81,11 @@ def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
         "random": ([push(240)], {}, 225),
         "impacts": (blows, boxcar, 6),
         "stepped sine": (steps, settled, 63),
+        "sweeps": (
+            [np.pad(np.sin(np.pi * 25 * time**2), (0, 8000))] * 4,
+            {"averaging": {"window": "boxcar", "segment": 6.0}},
+            4,
+        ),
     }
     forces, changes, averages = kinds[kind]
     data, test = read(folder, forces, 0.05, **changes)

