@@ -23,7 +23,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1735,
     "laws": 482,
-    "rotor": 740,
+    "rotor": 757,
     "data": 1069,
     "parameters": 452,
     "sweep": 246,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18723, 14500),
+    "statements of pipeline/": (18740, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),

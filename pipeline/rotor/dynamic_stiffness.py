@@ -5,9 +5,9 @@
 with excitation frequency w and rotor speed W (equal for unbalance). Beam elements couple neighbouring nodes
 only, so all four matrices share one narrow band: storage and solution cost grow linearly with the nodes. Seals
 add their impedance at the rotor speed W. Casings, which come last among the nodes, follow the bearings that they hold
-in the band.
+in the band. The modes of a base, which every pedestal moves with, are a border of it, which Schur's complement solves.
 
-Legend: n DOF, S speeds, R right-hand sides, u band width on either side of the diagonal.
+Legend: n DOF, S speeds, R right-hand sides, u band width on either side of the diagonal, b DOF of the border.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ _NO_BLOCKS = np.empty((0, 0))
 
 @dataclass(frozen=True, eq=False)
 class BandedStiffness:
-    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds the column ``order[j]``."""
+    """Diagonals of M, C, G, K restricted to ``dof``, each ``(m, 2 u + 1)``: row j holds the column ``order[j]``.
+
+    The last b of the order are the border, which only impedances couple with the rest.
+    """
 
     dof: np.ndarray  # (m,) which DOF of the rotor
     order: np.ndarray  # (m,) positions within ``dof``, as they follow each other in the band
@@ -38,6 +41,7 @@ class BandedStiffness:
     stiffness: np.ndarray
     seals: Seals
     seal_places: np.ndarray  # (T, 2) places of x and y of the seals in the band; -1 where they are not
+    border: int = 0  # b
 
 
 def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
@@ -45,17 +49,22 @@ def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
     dof = np.arange(rotor.n_dof) if dof is None else dof
     reach, by = rotor.reach, np.array(rotor.casings) + 0.5
     positions = np.array([*range(rotor.n_nodes), *(by[(reach == x).any(axis=1)].mean() for x, _ in casing_dof(rotor))])
-    order = np.argsort(positions[dof // DOF_PER_NODE], kind="stable")
+    places, border = positions[dof // DOF_PER_NODE], np.isin(dof, casing_dof(rotor)) & (rotor.participation.size > 0)
+    order = np.argsort(np.where(border, np.inf, places), kind="stable")
     ordered = dof[order]
     blocks = [a[np.ix_(ordered, ordered)] for a in (rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness)]
     rows, columns = np.nonzero(np.any([block != 0 for block in blocks], axis=0))
     # A bearing couples its node with what moves its casing.
-    least = np.ptp(_locate(bearing_places(rotor).dof, ordered), axis=1).max(initial=0) if rotor.casings else 0
+    held = _locate(bearing_places(rotor).dof, ordered)
+    held = np.where(held < len(dof) - border.sum(), held, held[:, :1])
+    least = np.ptp(held, axis=1).max(initial=0) if rotor.casings else 0
     bandwidth = int(np.abs(rows - columns).max(initial=least))
     places = _locate(seal_dof(rotor), ordered)
     bandwidth = max(bandwidth, int((places >= 0).all(axis=-1).any()))  # x and y of a seal lie side by side
     mass, damping, gyroscopic, stiffness = (_columns(block, bandwidth) for block in blocks)
-    return BandedStiffness(dof, order, bandwidth, mass, damping, gyroscopic, stiffness, rotor.seals, places)
+    return BandedStiffness(
+        dof, order, bandwidth, mass, damping, gyroscopic, stiffness, rotor.seals, places, int(border.sum())
+    )
 
 
 def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
@@ -99,26 +108,41 @@ def solve(
     """
     from scipy.linalg import lapack
 
-    size, width = len(system.dof), system.bandwidth
+    width, inner = system.bandwidth, len(system.dof) - system.border
     # Right-hand sides in Fortran order, too: LAPACK then leaves the solution in their place, and nothing is copied.
     solution = np.asarray(np.take(right.swapaxes(1, 2), system.order, axis=2), dtype=complex)
     impedance_places = np.argsort(system.order)[impedance_dof.astype(int)]
     # LAPACK's band storage in Fortran order, seen in C order as (speed, column, row), with u rows of room for
     # pivoting. A chunk of speeds is assembled at once.
-    band = np.empty((min(chunk_size, len(speeds)), size, 3 * width + 1), dtype=complex)
+    band = np.empty((min(chunk_size, len(speeds)), len(system.dof), 3 * width + 1), dtype=complex)
     for start in range(0, len(speeds), chunk_size):
         chunk = slice(start, min(start + chunk_size, len(speeds)))
         band[:, :, :width] = 0.0
         matrix, w, speed = band[: chunk.stop - start, :, width:], frequencies[chunk], speeds[chunk]
         matrix.real = system.stiffness - w[:, None, None] ** 2 * system.mass
         matrix.imag = w[:, None, None] * (system.damping + speed[:, None, None] * system.gyroscopic)
+        # The border's rows, and its columns.
+        edges = np.zeros((2, len(w), system.border, len(system.dof)), dtype=complex)
         seals = zip(system.seals.impedance(w, speed), system.seal_places, strict=True)
         for block, places in (*zip(impedance[:, chunk], impedance_places, strict=True), *seals):
             for i, j in np.argwhere((places[:, None] >= 0) & (places >= 0)):
-                matrix[:, places[j], width + places[i] - places[j]] += block[:, i, j]
+                if max(p := places[i], q := places[j]) < inner or p == q:
+                    matrix[:, q, width + p - q] += block[:, i, j]
+                else:
+                    edge, line, at = (0, p, q) if p >= inner else (1, q, p)
+                    edges[edge, :, line - inner, at] += block[:, i, j]
         for s in range(chunk.start, chunk.stop):
-            factor, pivots, info = lapack.zgbtrf(band[s - start].T, width, width, overwrite_ab=True)
-            lapack.zgbtrs(factor, width, width, solution[s].T, pivots, trans=int(transposed), overwrite_b=True)
+            factor, pivots, info = lapack.zgbtrf(band[s - start, :inner].T, width, width, overwrite_ab=True)
+            sides, (rows, columns) = solution[s], edges[:: 1 - 2 * transposed, s - start]
+            if system.border:
+                sides = np.concatenate([sides[:, :inner], columns[:, :inner]])
+            lapack.zgbtrs(factor, width, width, sides.T, pivots, trans=int(transposed), overwrite_b=True)
+            if system.border:
+                corner = edges[0, s - start, :, inner:] + np.diag(matrix[s - start, inner:, width])
+                seen, through = sides[: -system.border], sides[-system.border :]
+                schur = (corner.T if transposed else corner) - rows[:, :inner] @ through.T
+                *_, driven, info = lapack.zgesv(schur, solution[s, :, inner:].T - rows[:, :inner] @ seen.T)
+                solution[s] = np.concatenate([seen - driven.T @ through, driven.T], axis=1)
             if info != 0:
                 solution[s] = np.nan
     finite = np.isfinite(solution).all(axis=(1, 2))

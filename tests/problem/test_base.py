@@ -23,6 +23,8 @@ from pipeline.parameters.model import model_parameters
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.dynamic_stiffness import assemble_systems, banded, solve
+from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor
@@ -55,6 +57,19 @@ def config(modes: tuple[tuple[float, float, tuple[tuple[float, float], ...]], ..
 def films(speeds: np.ndarray = SPEEDS) -> BearingTable:
     """The same at every speed."""
     return BearingTable(NODES, speeds, np.repeat(np.array(FILMS)[:, None], len(speeds), axis=1))
+
+
+def test_a_shared_base_is_a_border_of_a_band_that_stays_narrow() -> None:
+    """Against whole matrices, as they are and transposed; the band is that of supports."""
+    rotor, w = load_rotor(config()), SPEEDS[:, None, None]
+    mass, damping, stiffness = assemble_systems(rotor, films())
+    held, places = bearing_places(rotor).spread(films().impedance()), bearing_places(rotor).dof
+    right = np.random.default_rng(4).standard_normal((len(SPEEDS), rotor.n_dof, 3)) + 0j
+    for turned in (False, True):
+        found = solve(banded(rotor), SPEEDS, SPEEDS, right, held, places, turned)
+        whole = stiffness + 1j * w * damping - w**2 * mass
+        np.testing.assert_allclose((whole.swapaxes(1, 2) if turned else whole) @ found, right, atol=1e-8)
+    assert (banded(rotor).bandwidth, banded(rotor).border) == (11, 4)
 
 
 def stated() -> RotorModel:
