@@ -28,8 +28,8 @@ STATEMENTS = {
     "parameters": 452,
     "sweep": 246,
     "ingest": 1646,
-    "problem": 1520,
-    "identification": 2919,
+    "problem": 1525,
+    "identification": 2929,
     "evaluation": 216,
     "twin": 499,
     "balance": 673,
@@ -46,16 +46,16 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18740, 14500),
+    "statements of pipeline/": (18755, 14500),
     "files": (249, 250),
     "classes": (329, 260),
-    "is None, is not None": (329, 420),
+    "is None, is not None": (330, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13410, 13000),
+    "statements of tests/": (13517, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (759, 380),
+    "functions entered by ingest and train of measured_demo": (765, 380),
     "their files": (111, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""
