@@ -39,7 +39,8 @@ weight and its place are off by 2 % and 2 degrees (docs/noise.md), the scale of 
 ALWAYS_FITTED = USUAL | {name: kind.usual for name, kind in KINDS.items() if kind.usual}
 """As :data:`USUAL`, for models that fit their tolerances: discs are known to 2 %, their inertias to 3 %, and a bearing
 is in each run as it is on average to 2 % (oil temperature, alignment, amplitude); so it is in the baseline. A free end
-of the shaft may have a coupling that nobody stated. Where no baseline is subtracted, 1 um of runout is left over."""
+of the shaft may have a coupling that nobody stated. Probes are 3 mm off. Where no baseline is subtracted, 1 um of
+runout is left over."""
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,8 @@ KINDS = (
             parameter, machine, machine.dataset.channels[parameter.place][0], max
         ),
         unit="m",
+        usual=3e-3,
+        widens=False,
         scope="run",
         probe="position",
     ),
