@@ -9,7 +9,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 # The systems are small: more threads of numpy's BLAS, or of torch where no stage sets them (`threads`), cost more than
-# they give, up to twenty times. Of a script's, too: both libraries read it when they are imported.
+# they give, up to twenty times. This holds for scripts, too: both libraries read it when they are imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 

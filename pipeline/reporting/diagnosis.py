@@ -166,13 +166,14 @@ def describe_series(combinations: Combinations, unseen: Collection[int], kept: f
     left = {
         node: min((least for name, (least, _) in spans if f" node {node} " in name), default=0.0) for node in unseen
     }
-    series = [str(node) for node in unseen if left[node] > kept]
+    series = [node for node in unseen if left[node] > kept]
     if not series:
         return ""
     return (
-        f"of bearing and support at node {' and '.join(series)} these probes tell only the two in series, since none "
-        f"looks at the casing ({write_rough(min(left[int(node)] for node in series))} or more of what is stated of the "
-        "support is left): add probes there (measures: casing); stage=design design.accuracy=0.02 says what they bring"
+        f"of bearing and support at node {' and '.join(map(str, series))} these probes tell only the two in series, "
+        f"since none looks at the casing ({write_rough(min(left[node] for node in series))} or more of what is stated "
+        "of the support is left): add probes there (measures: casing); stage=design design.accuracy=0.02 says what "
+        "they bring"
     )
 
 

@@ -150,7 +150,6 @@ def test_the_free_combination_changes_nothing_that_is_measured(rotor_of: Machine
     assert account.free_combination().count(" k") + account.free_combination().count(" c") >= 2
 
 
-@pytest.mark.slow
 def test_what_is_determined_least_does_not_hang_on_rounding(rng: np.random.Generator) -> None:
     """Two smallest singular values tie: any rotation of the rows leaves the direction, which has unit length."""
     left, right = (np.linalg.qr(rng.standard_normal((5, 5)))[0] for _ in range(2))
@@ -164,6 +163,7 @@ def test_what_is_determined_least_does_not_hang_on_rounding(rng: np.random.Gener
     assert decompose(alone)[1] == pytest.approx(np.array([[0.0, 0.0, 1.0]]))
 
 
+@pytest.mark.slow
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
     made = machine("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=200")
