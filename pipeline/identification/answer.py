@@ -27,6 +27,16 @@ def conclude(fit: OutputErrorFit) -> Fit:
     uncertainty = measure_uncertainty(fit, quality)
     numbers, parameters = _list_numbers(fit, uncertainty), _list_parameters(fit, uncertainty)
     summary: dict[str, Any] = dict(quality.summary)
+    if fit.start.starts[0]:
+        summary["fit"] |= {"starts": dict(zip(("fitted", "at_this_answer"), fit.start.starts, strict=True))}
+    if fit.start.searched:
+        nodes, kinds = fit.start.measurement.rotor.bearing_nodes, fit.start.searched.kinds
+        summary["fit"] |= {
+            "kinds": [
+                {"share": share, "of": dict(zip(map(str, nodes), several, strict=True))}
+                for several, share in kinds.items()
+            ]
+        }
     if numbers:
         summary |= _describe_laws(fit, numbers)
     if parameters:
@@ -103,12 +113,11 @@ def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Fit
 def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:
     """Parts of ``metrics.json`` and ``training.json``; SI.
 
-    ``physical_numbers`` by name; ``law`` says how many guesses were tried and how many ended at this answer, and the
-    share of points beyond the table of each bearing; ``correction`` the root mean square of the network's correction
-    over the data, and that of its standard deviation, in percent of each coefficient (of a cross-coupled one, of the
-    size of the direct ones).
+    ``physical_numbers`` by name; ``law`` says the share of points beyond the table of each bearing; ``correction`` the
+    root mean square of the network's correction over the data, and that of its standard deviation, in percent of each
+    coefficient (of a cross-coupled one, of the size of the direct ones).
     """
-    problem, laws, (n_starts, n_same) = fit.problem, fit.problem.measurement.laws, fit.start.law_starts
+    problem, laws = fit.problem, fit.problem.measurement.laws
     data, theta = problem.measurement.dataset, problem.theta(fit.weights)
     outside = laws.outside(theta, data.speeds, data.operating)[0]
     summary: dict[str, Any] = {
@@ -124,8 +133,6 @@ def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> di
         },
         "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
     }
-    if n_starts:
-        summary["law"] |= {"starts": n_starts, "starts_at_this_answer": n_same}
     if fit.start.by_evidence:
         summary["correction"] = _correction(fit)
     return summary

@@ -129,7 +129,8 @@ def fit_from(
     """
     problem, weights = start.problem, start.weights
     if start.from_guess:
-        problem, weights = add_features(start, setup.optimizer.levenberg_marquardt)
+        problem, weights, reached = add_features(start, setup.optimizer.levenberg_marquardt)
+        start = replace(start, starts=reached)
     if start.by_evidence:
         problem = with_sigma(problem)
     factor = np.ones(len(start.measurement.dataset.channels))

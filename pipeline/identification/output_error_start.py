@@ -32,6 +32,7 @@ from pipeline.identification.selection import add_beyond, with_sigma
 from pipeline.identification.training import FitSetup, initial_guess
 from pipeline.problem.expansion import filter_bearings
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.problem.ranking import count_alike
 
 if TYPE_CHECKING:
     import torch
@@ -54,7 +55,7 @@ class OutputErrorStart:
     filtered: np.ndarray | None = None  # (M, S, U) at the training speeds: what a filter made of few sensors
     searched: Searched | None = None  # what a population of bearings makes likely
     near: bool = False  # it is an answer at the full precision, with the rotor solved there
-    law_starts: tuple[int, int] = (0, 0)  # guesses of the laws' numbers that were fitted, and that led to this start
+    starts: tuple[int, int] = (0, 0)  # that were fitted, and of them those that led here; none where there is one way
 
     @property
     def by_evidence(self) -> bool:
@@ -118,8 +119,8 @@ def _start_by_coefficients(
     weights = torch.cat([start_at(problem, size * guess) for size in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)])
     kinds = {parameter.kind for parameter in training.parameters}
     if {"base_participation", "support_stiffness", "support_damping"} <= kinds and unknowns.planes:
-        weights = _temper(problem, read_modes(problem), setup.optimizer.levenberg_marquardt)
-        return problem.update(weights), {"weights": weights, "from_guess": False, "near": True}
+        weights, starts = _temper(problem, read_modes(problem), setup.optimizer.levenberg_marquardt)
+        return problem.update(weights), {"weights": weights, "from_guess": False, "near": True, "starts": starts}
     if any(parameter.growth for parameter in training.parameters):
         weights = _approach(problem, weights[1::2], setup.optimizer.levenberg_marquardt)
         if not float(problem.loss(weights[:1])) < EXPLAINED:
@@ -165,10 +166,10 @@ def _temper(
     starts: torch.Tensor,
     config: LevenbergMarquardtConfig,
     ways: tuple[tuple[float, ...], ...] = ((1.0,), (0.1, 0.3, 1.0)),
-) -> torch.Tensor:
+) -> tuple[torch.Tensor, tuple[int, int]]:
     """(1, 1, Z) the best of the starts (G, 1, Z) after fits to exact readings, and to ever more exact ones (``ways`` of
     shares), with the rotor solved at each step: shapes of a base are far from what is stated of them, where no first
-    order holds.
+    order holds. How many ways were gone, and how many of them ended there.
     """
     limited = config.model_copy(update={"steps": 25, "initial_damping": 1e-2})
     ends: list[tuple[float, torch.Tensor]] = []
@@ -184,7 +185,8 @@ def _temper(
             rough = replace(solved, readings=readings, exact=True)
             weights = levenberg_marquardt(rough, weights, limited, until_still(1e-3), by_diagonal=True)
         ends.append((float(rough.rows(weights).square().sum()) + rough.readings.log_determinant(), weights))
-    return min(ends, key=lambda end: end[0])[1]
+    losses = [loss for loss, _ in ends]
+    return ends[losses.index(min(losses))][1], (len(ends), count_alike(losses))
 
 
 def align_weights(measurement: Measurement) -> Measurement:
@@ -294,10 +296,10 @@ def _start_by_laws(
         problem = with_sigma(output_error(training, add_beyond(basis), plane_scale))
     else:
         problem = _without_correction(output_error(training, basis, plane_scale))
-    weights, first = _weights_of(problem, theta), {"from_guess": False, "law_starts": tuple(counts)}
+    weights, first = _weights_of(problem, theta), {"from_guess": False, "starts": tuple(counts)}
     if any(parameter.kind == "base_participation" for parameter in training.parameters):
-        weights, first["near"] = _temper(problem, weights, setup.optimizer.levenberg_marquardt), True
-        problem = problem.update(weights)
+        weights, _ = _temper(problem, weights, setup.optimizer.levenberg_marquardt)
+        problem, first["near"] = problem.update(weights), True
     return problem, {"weights": weights} | first
 
 
@@ -307,10 +309,9 @@ def _fit_laws(
     plane_scale: float,
     points: int = 24,
     fitted: int = 7,
-    same: float = 1e-3,
 ) -> tuple[torch.Tensor, int, int]:
     """The numbers (Th,) from which the readings are explained best, how many guesses were fitted, and how many of them
-    ended there: at losses that differ by less than the share ``same`` of the lowest. The correction stays zero.
+    ended there. The correction stays zero.
 
     With :func:`_spread` and ``fitted`` guesses at so many ``points``, guesses that are 3 times off in every clearance
     and 5 times in the viscosity lead to the same answer.
@@ -326,7 +327,7 @@ def _fit_laws(
     ends = levenberg_marquardt(problem, starts, section, until_still(1e-4), by_diagonal=True)
     losses = problem.loss(ends)[:, 0].nan_to_num(float("inf"))
     best = int(losses.argmin())
-    return problem.theta(ends)[best], len(ends), int((losses < losses[best] * (1 + same)).sum())
+    return problem.theta(ends)[best], len(ends), count_alike(losses.tolist())
 
 
 def _spread(problem: OutputError, count: int = 255, reach: float = 2.0) -> torch.Tensor:

@@ -22,6 +22,7 @@ from pipeline.data.operating import space_evenly
 from pipeline.identification.families import Choices, Whitened
 from pipeline.identification.noise_estimate import estimate_correlation, reshape_noise
 from pipeline.identification.problem import OutputError, output_error
+from pipeline.problem.ranking import rank
 
 if TYPE_CHECKING:
     import torch
@@ -37,6 +38,14 @@ class Searched:
     shares: np.ndarray  # (G,) of the evidence, with the sum one
     problem: OutputError  # without a prior of functions, at the noise as it is stated
     precision: float  # of the readings, over that: as much as the best leaves
+
+    @property
+    def kinds(self) -> dict[tuple[str, ...], float]:
+        """The kinds of the bearings with their shares of the evidence, the likeliest first."""
+        shares: dict[tuple[str, ...], float] = {}
+        for kinds, share in zip(self.choices.families, self.shares.tolist(), strict=True):
+            shares[kinds] = shares.get(kinds, 0.0) + share
+        return {kinds: shares[kinds] for kinds in rank(shares)}
 
     def mix(self, covariance: np.ndarray, beyond: float = 0.05, reach: float = 0.5) -> np.ndarray:
         """(Z, Z) mean square of what is off: the best answer by its ``covariance``, others with what they differ by.

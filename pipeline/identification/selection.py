@@ -28,7 +28,7 @@ from pipeline.identification.blocks import Basis
 from pipeline.identification.linear_start import robust_start
 from pipeline.identification.optimizers import levenberg_marquardt, until_still
 from pipeline.identification.problem import OutputError
-from pipeline.problem.ranking import find_distinct
+from pipeline.problem.ranking import count_alike, find_distinct
 from pipeline.problem.slopes import invert_root
 
 if TYPE_CHECKING:
@@ -69,8 +69,9 @@ def drop_features(
 
 def add_features(
     start: OutputErrorStart, config: LevenbergMarquardtConfig, look_ahead: int = 3, nearly: float = 1e-5
-) -> tuple[OutputError, torch.Tensor]:
-    """The problem with as many features as count, and its best minimum (1, 1, Z), where there is no linear start.
+) -> tuple[OutputError, torch.Tensor, tuple[int, int]]:
+    """The problem with as many features as count, and its best minimum (1, 1, Z), where there is no linear start; how
+    many starts were fitted, and how many of them ended there.
 
     From several guesses constants are fitted first, then feature by feature is added: far from the answer, many at once
     would follow one speed here and another there. What a filter made of each speed is tried with every number of
@@ -82,26 +83,32 @@ def add_features(
 
     problem, starts = start.problem, start.weights
     count = problem.features.shape[-1]
-    weights, before, best = problem.with_features(starts, 1), 1, (float("inf"), 1, starts[:1])
+    weights, before, best = problem.with_features(starts, 1), 1, (float("inf"), 1, starts[:1], 0)
+    led = list(range(len(starts)))  # where each start is among the weights
     last = problem.basis.n_trend if start.by_evidence else count
     for order in dict.fromkeys([1, *range(problem.basis.n_trend, last + 1)]):
         limited = problem.truncated(order)
         tried = problem.truncated(before).with_features(weights, order)
-        tried = torch.cat([tried, *(revive(limited, start[None]) for start in tried)])
-        if start.filtered is not None:
-            tried = torch.cat([robust_start(limited, start.filtered), tried])
+        tried = torch.cat([tried, *(revive(limited, each[None]) for each in tried)])
+        rough = [] if start.filtered is None else [robust_start(limited, start.filtered)]
+        tried = torch.cat([*rough, tried])
         tried = levenberg_marquardt(limited, tried, config, until_still(nearly), by_diagonal=True)
-        losses = limited.loss(tried)[:, 0].nan_to_num(float("inf"))
-        weights, before = tried[find_distinct(losses.tolist())], order
-        criterion = float(losses.min()) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
+        losses = limited.loss(tried)[:, 0].nan_to_num(float("inf")).tolist()
+        kept = find_distinct(losses)
+        weights, before = tried[kept], order
+        ends = [losses[i + len(rough)] for i in led]
+        led = [max(k for k, i in enumerate(kept) if losses[i] <= max(end, min(losses))) for end in ends]
+        criterion = min(losses) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
         if criterion < best[0] - TIE:  # a tie stays with fewer
-            best = (criterion, order, limited.with_features(weights[:1], count))
+            alike = count_alike([min(losses), *ends, *losses[: len(rough)]]) - 1
+            best = (criterion, order, limited.with_features(weights[:1], count), alike)
         elif order >= best[1] + look_ahead:
             break
+    reached = (len(starts) + len(rough), best[3])
     if start.by_evidence:
-        return problem, best[2]
-    kept = (torch.arange(count) < best[1]).repeat(len(problem.active), 1)
-    return replace(problem, kept=kept), best[2]
+        return problem, best[2], reached
+    chosen = (torch.arange(count) < best[1]).repeat(len(problem.active), 1)
+    return replace(problem, kept=chosen), best[2], reached
 
 
 def revive(problem: OutputError, weights: torch.Tensor, collapsed: float = 0.02) -> torch.Tensor:
@@ -200,11 +207,17 @@ class Evidence(NamedTuple):
         return np.pad((self.unit / sigma[:, None] ** 2).ravel(), (0, len(self.right) - self.unit.size))
 
     def maximise(
-        self, rounds: int = 60, still: float = 1e-2, smallest: float = 1e-4, tiny: float = 1e-12
+        self,
+        rounds: int = 60,
+        still: float = 1e-2,
+        smallest: float = 1e-4,
+        largest: float = 1e3,
+        tiny: float = 1e-12,
     ) -> np.ndarray:
         """(A,) sigma of the greatest likelihood, by MacKay's fixed point, until it changes by the share ``still``.
 
-        A correction of a hundredth of a percent, the ``smallest``, is none.
+        A correction of a hundredth of a percent, the ``smallest``, is none. The ``largest`` is far beyond any: where
+        readings tell nothing of a coefficient, the ratio of two roundings is no size.
         """
         sigma, unit = self.sigma, self.unit
         for _ in range(rounds):
@@ -214,7 +227,7 @@ class Evidence(NamedTuple):
             squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
             told = told.reshape(unit.shape).sum(axis=1)
             likelier = np.sqrt(self.alike @ squares / np.maximum(self.alike @ told, tiny))
-            before, sigma = sigma, np.maximum(likelier, smallest)
+            before, sigma = sigma, np.clip(likelier, smallest, largest)
             if (np.abs(np.log(sigma / before)) < still).all():
                 break
         return sigma

@@ -35,6 +35,12 @@ def find_least(sizes: Mapping[Name, float]) -> Name:
     return rank({name: -size for name, size in sizes.items()})[0]
 
 
+def count_alike(losses: Iterable[float], same: float = 1e-3) -> int:
+    """How many differ from the lowest by less than the share ``same`` of it."""
+    every = list(losses)
+    return sum(loss - min(every) <= same * abs(min(every)) for loss in every)
+
+
 def find_distinct(losses: list[float], most: int = 3, same_valley: float = 1e-2, equal: float = 1e-6) -> list[int]:
     """The best few that lie in valleys of their own, the best first; of equals the one that was given first."""
     kept: list[int] = []

@@ -259,7 +259,6 @@ def tabulate_numbers(caption: str, numbers: Sequence[Mapping[str, Any]]) -> Tabl
 def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
     """Sentences for and against the bearing laws of a fit of model ``kind``; empty without any."""
     contradiction, law = find_contradiction(quality, kind), quality.get("law", {})
-    several = law.get("starts", 1) > 1
     return [
         *([] if contradiction is None else [" ".join(contradiction)]),
         *(_describe_correction(node, correction) for node, correction in quality.get("correction", {}).items()),
@@ -268,11 +267,6 @@ def describe_law(quality: Mapping[str, Any], kind: str) -> list[str]:
             "end of its table, whose last coefficients are continued there: give a table that goes further."
             for node, share in law.get("outside_table", {}).items()
             if share > 0
-        ),
-        *(
-            [f"{law['starts_at_this_answer']} of {law['starts']} guesses of the numbers ended at this answer."]
-            if several
-            else []
         ),
     ]
 

@@ -100,7 +100,8 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     say(
         f"{config.name}: {fitted.outcome.value}\n"
         f"{readings['distance']}{far_off}, {fitted.steps} steps in {fitted.seconds:.1f} s\n"
-        f"coefficients in '{analysis.files.identified}'"
+        + (f"{readings['searched']}\n" if "searched" in readings else "")
+        + f"coefficients in '{analysis.files.identified}'"
     )
     stated = config.identify.model_parameters.deviations
     told = {

@@ -48,6 +48,7 @@ class Evidence:
     priors: Mapping[str, float]  # model parameter -> value after the fit, in prior deviations
     departures: Mapping[str, float]  # coefficient -> how far it came from what known_within states, in its deviations
     growth: Growth
+    lacking: tuple[float, str] | None  # a mode that the model lacks, rad/s, and the probes that show it, in words
     outcome: str  # of the training
 
     @property
@@ -85,7 +86,7 @@ def gather(
         lost = np.isnan(spread) & measurement.unknowns.identified[:, None]  # of coefficients that ran away
         return np.where(lost, np.inf, spread)
 
-    runs = measurement.dataset.runs
+    runs, misfit = measurement.dataset.runs, measure_misfit(fit)
     used = [r for r in range(len(runs)) if fitted[..., r].any()]
     several, pairs = len(used) > 1, fitted.shape[1] > 2 * len(answer.nodes) - 1
     every_run = {f"run {runs[r]}": fitted & (np.arange(len(runs)) == r) for r in used if several}
@@ -102,7 +103,7 @@ def gather(
         tolerances={name: deviate(unfitted.select(name).covariance()) for name in unfitted.names},
         moves={name: (move, explained) for name, (move, explained, _) in (of_runs | of_probes).items()},
         fit=fit,
-        misfit=measure_misfit(fit),
+        misfit=misfit,
         predicted={name.removeprefix("run "): square for name, (_, _, square) in of_runs.items()},
         superposed=compare_superposed(measurement, factor),
         priors=dict(
@@ -110,6 +111,9 @@ def gather(
         ),
         departures=find_departures(measurement, uncertainty.identified, answer),
         growth=find_growth(measurement, answer, uncertainty),
+        lacking=None
+        if misfit.explained()
+        else find_missing_mode(measurement, answer, uncertainty.residual_unbalance, fitted),
         outcome=outcome,
     ), linear
 
@@ -150,6 +154,53 @@ def find_growth(
     ]
     s = int(modes.growth.argmax())
     return Growth(float(modes.growth[s]), float(deviation[s]), float(unstable[0]) if unstable else None)
+
+
+def find_missing_mode(
+    measurement: Measurement,
+    answer: BearingTable,
+    unbalance: np.ndarray,
+    fitted: np.ndarray,
+    prominent: float = 3.0,
+    apart: float = 0.1,
+    most_damped: float = 2.0,
+    fewest: int = 16,
+) -> tuple[float, str] | None:
+    """A mode that the readings show and the model lacks: its frequency in rad/s, and the probes that show it.
+
+    What the fit leaves over, with its residual ``unbalance`` (N,), peaks there: ``prominent`` times as high as on
+    either side, in all runs together, and lies ``apart``, a share of its frequency, from all modes of the identified
+    machine of a logarithmic decrement below ``most_damped``. Runs of fewer than ``fewest`` speeds are not asked.
+    """
+    from scipy.signal import find_peaks
+
+    from pipeline.twin.modes import find_modes
+
+    data, asked = measurement.dataset, np.asarray(np.any(fitted, axis=1))  # (S, R)
+    runs = [r for r in range(len(data.runs)) if asked[:, r].sum() >= fewest]
+    if not runs:
+        return None
+    left = np.abs(data.displacement - measurement.response.predict(answer, unbalance))
+    lines = [data.frequencies[asked[:, r], r] for r in runs]
+    grid = np.geomspace(min(w.min() for w in lines), max(w.max() for w in lines), 200)
+    square = np.zeros((len(grid), len(data.channels)))
+    for r, w in zip(runs, lines, strict=True):
+        order = np.argsort(w)
+        each = np.stack([np.interp(grid, w[order], column[order]) for column in left[asked[:, r], :, r].T], axis=1)
+        square += (each / np.median(each)) ** 2
+    height = np.log(np.column_stack([square.sum(axis=1), square])) / 2  # of all probes together, and of each
+    modes = find_modes(measurement.updated_rotor, answer, count=12)
+    ringing = np.where(modes.logarithmic_decrement < most_damped, modes.frequency, np.inf)
+    peaks, shape = find_peaks(height[:, 0], prominence=np.log(prominent))
+    has = [ringing[np.abs(answer.speeds - w).argmin()] for w in grid[peaks]]  # at the speed nearest to each peak
+    own = [k for k, w in enumerate(grid[peaks]) if np.nanmin(np.abs(has[k] / w - 1), initial=np.inf) > apart]
+    if not own:
+        return None
+    at = int(peaks[max(own, key=lambda k: float(shape["prominences"][k]))])
+    names, near = name_channels(measurement), np.abs(grid / grid[at] - 1) < 2 * apart
+    rises = np.ptp(height[near, 1:], axis=0)
+    shown = [name for name, rise in zip(names, rises, strict=True) if rise > np.log(prominent)]
+    return float(grid[at]), "all probes" if len(shown) == len(names) else ", ".join(shown)
 
 
 def compare_superposed(measurement: Measurement, factor: np.ndarray) -> dict[str, float]:

@@ -40,6 +40,7 @@ from pipeline.trust.verdict import (
     gravest,
     judge_coefficient,
     judge_contradiction,
+    judge_lacking,
     judge_machine,
     judge_mistakes,
     judge_whirl,
@@ -138,9 +139,12 @@ def _may_have_supports(config: Config) -> bool:
     return not config.machine.rotor.n_casings and (not simulated or config.machine.as_built is not None)
 
 
-def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[dict[str, Any], Evidence]:
+def assess(
+    config: Config, answer: Answer, about: Mapping[str, Any], clearly: float = 10.0
+) -> tuple[dict[str, Any], Evidence]:
     """The Judgement on a fit that states deviations, and what it rests on; ``about`` has ``fit`` and ``outcome`` of
-    ``training.json``."""
+    ``training.json``. Where the readings show a mode that the model lacks, a mistake is named if its correction leaves
+    less than one part in ``clearly`` of the misfit."""
     updated, uncertainty = answer.measurement, answer.uncertainty
     assert uncertainty is not None
     data, training = updated.dataset, config.training
@@ -161,6 +165,8 @@ def assess(config: Config, answer: Answer, about: Mapping[str, Any]) -> tuple[di
         made_of = {} if config.data.vibration or config.data.excitation else config.machine.recordings.probes
         probes = {name: name_channel(probe.node, probe.angle) for name, probe in made_of.items()}
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
+        # What a mode that the model lacks leaves over, other mistakes seem to explain in part.
+        mistakes = [mistake for mistake in mistakes if not evidence.lacking or mistake.falls_by > clearly]
     against = judge_whirl(measure_backward(data)) + judge_mistakes(mistakes, list(find_contradicted(evidence)))
     against += judge_contradiction(find_contradiction(about, config.model.kind))
     return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
@@ -183,7 +189,8 @@ def judge(
     """
     from pipeline.data.vibration_files import to_rpm
 
-    common, nodes, fit = [*mistakes, *judge_machine(evidence)], evidence.answer.nodes, evidence.fit
+    common = [*mistakes, *judge_lacking(evidence), *judge_machine(evidence)]
+    nodes, fit = evidence.answer.nodes, evidence.fit
     unseen = {kind: fit[kind] for kind in ("held_out_speeds", "held_out_runs") if kind in fit}
     rpm = to_rpm(evidence.answer.speeds)
     most_moved = max(evidence.priors.items(), key=lambda item: abs(item[1]), default=None)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.data.sensors import FLOORS
 from pipeline.identification.quality import FAR_FROM_EXPECTED, MISMATCH
-from pipeline.write_numbers import write_number, write_rough
+from pipeline.write_numbers import write_number, write_percent, write_rough
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Misfit:
     estimated: bool  # the noise was found from the readings
     noise_factor: float  # noise that was found over the stated one, median over the channels; 1 where it is stated
     of_stated: float  # mean square over the stated noise
+    wanders: bool = False  # what is left over depends on the speed as no white noise does
 
     @property
     def distance(self) -> float:
@@ -48,6 +49,12 @@ class Misfit:
         if self.size >= FAR_FROM_EXPECTED or math.isnan(self.size):
             return False
         return not (self.unlikely and (self.size >= small or self.noise_factor >= wide))
+
+    def is_gross(self, many: float = 10.0) -> bool:
+        """Whether the model leaves so ``many`` times the noise that its answer is that of another machine: a wrong
+        statement of the noise makes no deviations that depend on the speed.
+        """
+        return not self.explained() and self.wanders and max(self.distance, self.noise_factor) >= many
 
     @property
     def sentence(self) -> str:
@@ -108,7 +115,8 @@ def measure_misfit(fit: Mapping[str, Any]) -> Misfit:
     tests = (mismatch["chi_square"], mismatch["whiteness"], whiteness.get("probability"))
     made = [min(1.0, len(tests) * p) for p in tests if p is not None]
     factor = float(np.median(list(fit["noise_factor"].values()))) if estimated else 1.0
-    return Misfit(float(size), min(made, default=None), estimated, factor, float(total * factor**2))
+    wanders = whiteness["autocorrelation"] > 0.5 or (whiteness.get("probability") or 0.0) < 1e-3
+    return Misfit(float(size), min(made, default=None), estimated, factor, float(total * factor**2), wanders)
 
 
 def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
@@ -132,6 +140,7 @@ def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
         parts = [(fit["noise"].get(key, 0.0), unit) for key, unit, _ in FLOORS]
         parts += [(100 * fit["noise"]["multiplicative"], "% of a reading")]
         levels += f" ({' and '.join(f'{write_number(size, digits=2)} {unit}' for size, unit in parts if size)})"
+    searched = describe_search(fit)
     return {
         "distance": f"chi-square {square['value']:.0f}, where {square['expected']:.0f} is expected: the readings lie "
         f"{math.sqrt(square['value'] / square['expected']):.2f} times as far off as their {levels}",
@@ -141,7 +150,24 @@ def describe_readings(training: Mapping[str, Any]) -> dict[str, str]:
         "far_off": f"runs that do not agree with the others, and weigh less: {runs or 'none'}"
         if drift
         else f"readings beyond 4 deviations: {fit['bad_points'] or 'none'} of {square['readings']}",
+        **({"searched": searched} if searched else {}),
     }
+
+
+def describe_search(fit: Mapping[str, Any], named: float = 0.05) -> str:
+    """Among how many starts, or of which kinds of bearings, the answer was chosen; empty where there is one way.
+
+    Kinds whose share of the evidence is at least ``named`` are told, and the likeliest.
+    """
+    if "starts" in fit:
+        return f"{fit['starts']['at_this_answer']} of {fit['starts']['fitted']} starts ended at this answer"
+    told = [
+        f"{' and '.join(f'{kind} at node {node}' for node, kind in entry['of'].items())} "
+        f"({write_percent(entry['share'])})".replace("_", " ")
+        for i, entry in enumerate(fit.get("kinds", ()))
+        if not i or entry["share"] >= named
+    ]
+    return f"bearings like these explain the readings: {', or '.join(told)}" if told else ""
 
 
 def describe_held_out(kind: str, held_out: Mapping[str, Any], digits: int = 2) -> str:

@@ -92,9 +92,9 @@ class CoefficientVerdict:
         return f"{self.coefficient} at node {self.node} is known to {known} (95 %), and no check speaks against it."
 
 
-def judge_contradiction(contradiction: tuple[str, str] | None) -> list[Reason]:
-    """What contradicts the fit or its bearing law, and the next step; nothing for None."""
-    return [Reason(Verdict.WITH_CARE, *contradiction)] if contradiction else []
+def judge_contradiction(contradiction: tuple[str, str] | None, gross: bool = False) -> list[Reason]:
+    """What contradicts the fit or its bearing law, and the next step; nothing for None. A ``gross`` one leaves none."""
+    return [Reason(Verdict.NO if gross else Verdict.WITH_CARE, *contradiction)] if contradiction else []
 
 
 def judge_mistakes(mistakes: Sequence[Mistake], contradicted: Sequence[str] = ()) -> list[Reason]:
@@ -154,6 +154,22 @@ def find_contradicted(evidence: Evidence, by: str = "superposed", most: float = 
     return {run: size for run, size in every if size > most * max(1.0, evidence.misfit.size)}
 
 
+def judge_lacking(evidence: Evidence) -> list[Reason]:
+    """A mode that the readings show and the model lacks."""
+    if not evidence.lacking:
+        return []
+    own, probes = evidence.lacking
+    return [
+        Reason(
+            Verdict.NO if evidence.misfit.is_gross() else Verdict.WITH_CARE,
+            f"The readings show a mode at {write_number(own / (2 * np.pi), digits=2)} Hz in {probes} that the model "
+            "lacks.",
+            "Look for what has that natural frequency (a support, a base, a coupling), and state it: rotor.supports or "
+            "rotor.base in the machine file; or leave out the speeds about it.",
+        )
+    ]
+
+
 def judge_machine(evidence: Evidence) -> list[Reason]:
     """What speaks against all coefficients together."""
     reasons = []
@@ -163,6 +179,15 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
                 Verdict.NO if evidence.outcome == "diverged" else Verdict.WITH_CARE,
                 f"The fit has not reached its minimum: {evidence.outcome.replace('_', ' ')}.",
                 "Train again with more steps (optimizer.levenberg_marquardt.steps=1000).",
+            )
+        )
+    starts = evidence.fit.get("starts", {"fitted": 0, "at_this_answer": 0})
+    if starts["at_this_answer"] < 2 < starts["fitted"]:
+        reasons.append(
+            Reason(
+                Verdict.WITH_CARE,
+                f"Only one of {starts['fitted']} starts ended at this answer: it may not be the global minimum.",
+                "Train from other starts (model.initial_stiffness, seed), and see whether the answer stays.",
             )
         )
     largest, deviation, unstable_rpm = evidence.growth
@@ -175,7 +200,7 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
                 "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
             )
         )
-    reasons += judge_contradiction(evidence.misfit.contradiction)
+    reasons += judge_contradiction(evidence.misfit.contradiction, evidence.misfit.is_gross())
     return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence), *_judge_known(evidence)]
 
 

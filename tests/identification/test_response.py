@@ -15,7 +15,7 @@ from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure,
 from pipeline.data.simulate import simulate
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.answer import conclude
-from pipeline.identification.fit import fit
+from pipeline.identification.fit import fit, loss_of
 from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
 from pipeline.identification.selection import revive
@@ -283,6 +283,18 @@ def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> Non
     assert fit.start.filtered is not None
     assert abs(mean_square(fit) - 1) < 4 / np.sqrt(dataset.displacement.size)
     assert worst(rotor_of, fit) < 0.006
+
+
+def test_more_noise_never_lowers_what_is_expected(rotor_of: Machine) -> None:
+    """The same draw of the noise, twice as large each time: the deviations before the fit grow with it."""
+    config = compose_config(["experiment=noisy_stiffness"])
+    setup, loss, before = setup_of(config), loss_of(config.loss), np.zeros((2, 2))
+    for noise in (0.005, 0.01, 0.02, 0.04):
+        measurement = replace(rotor_of.measured(noisy(rotor_of, noise, 0), config), noise=NoiseModel(0.0, noise))
+        expected = loss.expect(measurement, setup, loss.diagnose(measurement, setup))
+        now = np.median(expected.relative[..., [0, 3]], axis=1)  # kxx and kyy of both bearings
+        assert (now > before).all()
+        before = now
 
 
 def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:

@@ -44,6 +44,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
         "priors": {},
         "departures": {},
         "growth": Growth(-1.0, 0.1, None),
+        "lacking": None,
         "outcome": "converged",
     }
     return Evidence(**(given | changed))
@@ -192,3 +193,24 @@ def test_mirrored_phases_are_told_by_the_orbits() -> None:
     assert not judge_whirl({}) + judge_whirl({"a": 0.9, "b": 0.3})
     (reason,) = judge_whirl({"a": 1.0, "b": 0.96})
     assert_says(reason.sentence, "unbalance runs turn backward at 98 % of speeds and nodes")
+
+
+def test_one_start_of_several_is_told() -> None:
+    judged = record(gathered(fit=FIT | {"starts": {"fitted": 7, "at_this_answer": 1}}))
+    assert judged["machine"]["verdict"] == "with care"
+    assert_says(judged["machine"]["reason"], "Only one of 7 starts ended at this answer", "global minimum")
+    assert record(gathered(fit=FIT | {"starts": {"fitted": 7, "at_this_answer": 2}}))["machine"]["verdict"] == "good"
+
+
+def test_a_mode_that_the_model_lacks_is_named_by_its_frequency() -> None:
+    judged = record(gathered(lacking=(2 * np.pi * 22.0, "all probes")))["machine"]
+    assert_says(judged["reason"], "a mode at 22 Hz in all probes that the model lacks")
+    assert_says(judged["next"], "a support, a base, a coupling")
+
+
+def test_a_misfit_alone_says_no_where_no_noise_looks_like_it() -> None:
+    """Ten times the noise: white, the noise is stated too small; over the speed, the machine is another one."""
+    far = FIT | {"chi_square": FIT["chi_square"] | {"value": 1e4}, "mismatch": {"chi_square": 0.0, "whiteness": 0.5}}
+    assert record(gathered(fit=far))["machine"]["verdict"] == "with care"
+    wandering = far | {"whiteness": FIT["whiteness"] | {"autocorrelation": 0.9, "probability": 0.0}}
+    assert record(gathered(fit=wandering))["machine"]["verdict"] == "no"
