@@ -193,10 +193,10 @@ def find_missing_mode(
     ringing = np.where(modes.logarithmic_decrement < most_damped, modes.frequency, np.inf)
     peaks, shape = find_peaks(height[:, 0], prominence=np.log(prominent))
     has = [ringing[np.abs(answer.speeds - w).argmin()] for w in grid[peaks]]  # at the speed nearest to each peak
-    own = [k for k, w in enumerate(grid[peaks]) if np.nanmin(np.abs(has[k] / w - 1), initial=np.inf) > apart]
-    if not own:
+    lacking = [k for k, w in enumerate(grid[peaks]) if np.nanmin(np.abs(has[k] / w - 1), initial=np.inf) > apart]
+    if not lacking:
         return None
-    at = int(peaks[max(own, key=lambda k: float(shape["prominences"][k]))])
+    at = int(peaks[max(lacking, key=lambda k: float(shape["prominences"][k]))])
     names, near = name_channels(measurement), np.abs(grid / grid[at] - 1) < 2 * apart
     rises = np.ptp(height[near, 1:], axis=0)
     shown = [name for name, rise in zip(names, rises, strict=True) if rise > np.log(prominent)]

@@ -158,12 +158,12 @@ def judge_lacking(evidence: Evidence) -> list[Reason]:
     """A mode that the readings show and the model lacks."""
     if not evidence.lacking:
         return []
-    own, probes = evidence.lacking
+    frequency, probes = evidence.lacking
     return [
         Reason(
             Verdict.NO if evidence.misfit.is_gross() else Verdict.WITH_CARE,
-            f"The readings show a mode at {write_number(own / (2 * np.pi), digits=2)} Hz in {probes} that the model "
-            "lacks.",
+            f"The readings show a mode at {write_number(frequency / (2 * np.pi), digits=2)} Hz in {probes} that the "
+            "model lacks.",
             "Look for what has that natural frequency (a support, a base, a coupling), and state it: rotor.supports or "
             "rotor.base in the machine file; or leave out the speeds about it.",
         )
