@@ -118,6 +118,11 @@ def render(template: Path, **values: Any) -> str:
     return environment.get_template(template.name).render(values)
 
 
+def hash_json(value: object, length: int = 16) -> str:
+    """Identity of a value of JSON, whatever the order of its keys, in so many letters."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:length]
+
+
 def hash_file(path: Path) -> str:
     """Identity of a file's bytes; empty where there is no file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""

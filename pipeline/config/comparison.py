@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import Field, PositiveInt
 
@@ -33,7 +33,6 @@ MethodName = Literal[
     "trained",
     "law",
 ]
-METHOD_NAMES: tuple[str, ...] = get_args(MethodName)
 SensorSet = Literal["all", "bearings", "location"]
 """x and y at every node, at the bearings, or at one node."""
 

@@ -338,6 +338,17 @@ class MeasuredConfig(AnyRecordingsConfig):
                     "displacements are the shaft's: leave mounted out"
                 )
 
+    def check_angles(self, angles: str, step: str) -> Iterator[str]:
+        """What is wrong with the place that ``angles`` of weights are measured from; ``step`` is what to do about the
+        tacho."""
+        if not self.shaft_angle:
+            yield (
+                f"must say in shaft_angle how {angles} are measured (with_rotation or against_rotation from the mark, "
+                "or from_x at the pulse), but it is missing"
+            )
+        if self.shaft_angle != "from_x" and self.tacho.angle is None:
+            yield f"must give tacho.angle where {angles} are measured from the mark, but it is missing: {step}"
+
     @rule
     def _fits_together(self) -> Iterator[str]:
         if self.planes:  # each row of a table of records says what acted
@@ -357,16 +368,9 @@ class MeasuredConfig(AnyRecordingsConfig):
                     f"run '{run.name}' must have unbalances or forces, but it has none: add them, or name it "
                     "as baseline"
                 )
-        weighted = any(run.unbalances for run in self.runs)
-        if weighted and not self.shaft_angle:
-            yield (
-                "must say in shaft_angle how phases of unbalances are measured (with_rotation or against_rotation from "
-                "the mark, or from_x at the pulse), but it is missing"
-            )
-        if weighted and self.shaft_angle != "from_x" and self.tacho.angle is None:
-            yield (
-                "must give tacho.angle where phases of unbalances are measured from the mark, but it is missing: give "
-                "it, or the phases from x with shaft_angle=from_x"
+        if any(run.unbalances for run in self.runs):
+            yield from self.check_angles(
+                "phases of unbalances", "give it, or the phases from x with shaft_angle=from_x"
             )
         vectors = set(self.slow_roll.vectors if self.slow_roll else ())
         if vectors and vectors != set(self.probes):

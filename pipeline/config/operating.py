@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from pipeline.config.quantities import base_of, from_base, is_number, same_dimension, to_base, to_si
+from pipeline.config.quantities import base_of, from_base, is_number, to_base, to_si
 from pipeline.config.section import Section
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def find_column(column: str) -> dict[str, ConditionColumn]:
     if word not in WRITTEN:
         return {column: ConditionColumn(column=column, unit=unit)} if name and unit in UNITS else {}
     try:
-        right = unit not in ("C", "F") and same_dimension(unit, WRITTEN[word])
+        right = unit not in ("C", "F") and base_of(unit).dimensionality == base_of(WRITTEN[word]).dimensionality
     except ValueError:
         right = False
     if not right:

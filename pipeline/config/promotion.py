@@ -137,9 +137,7 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
     return apply_values(config, in_force, source).model_copy(
         update={
             "promoted": PromotedConfig(
-                study=promoted.study,
-                trial=promoted.trial,
-                held_out_loss=promoted.held_out_loss,
+                **dict(promoted),
                 configured={key: get_value(config, key) for key in in_force if has_value(config, key)},
                 in_force=in_force,
                 overridden={key: value for key, value in promoted.values.items() if key not in in_force},

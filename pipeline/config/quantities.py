@@ -94,11 +94,6 @@ def base_of(unit: str) -> Any:
     return _load_units().Quantity(1.0, _find_unit(unit)).to_base_units().units
 
 
-def same_dimension(unit: str, other: str) -> bool:
-    """Whether two units are of one kind of quantity. Raises ValueError for an unknown unit."""
-    return bool(_find_unit(unit).dimensionality == _find_unit(other).dimensionality)
-
-
 def _find_unit(unit: str) -> Any:
     try:
         return _load_units().parse_units(unit)

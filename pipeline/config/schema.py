@@ -18,9 +18,10 @@ from pipeline.config.machine import MachineConfig
 from pipeline.config.measured import Known
 from pipeline.config.models import ModelConfig
 from pipeline.config.operating import Conditions, Differences
+from pipeline.config.promotion import PromotedTrial
 from pipeline.config.runs import DesignConfig, NoiseConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
-from pipeline.config.tuning import HeldOutLoss, TuningConfig
+from pipeline.config.tuning import TuningConfig
 from pipeline.parameters.identify import IdentifyConfig
 
 
@@ -90,12 +91,10 @@ class NewConfig(Section):
     source: str | None = Field(default=None, alias="from")
 
 
-class PromotedConfig(Section):
-    """Values of a study that are in force, and those that the command line overrode (by dotted key)."""
+class PromotedConfig(PromotedTrial):
+    """What a study promoted, the values of it that are in force, and those that the command line overrode (by dotted
+    key)."""
 
-    study: str
-    trial: NonNegativeInt
-    held_out_loss: HeldOutLoss
     configured: dict[str, bool | int | float | str]  # what was in the place of those in force
     in_force: dict[str, bool | int | float | str]
     overridden: dict[str, bool | int | float | str]

@@ -110,16 +110,9 @@ class RecordsConfig(MeasuredConfig):
     def _lawful(self) -> Iterator[str]:
         if not self.file:
             yield "must name the file with the records, but file is missing"
-        if not self.shaft_angle:
-            yield (
-                "must say in shaft_angle how angles of weights are measured (with_rotation or against_rotation from "
-                "the mark, or from_x at the pulse), but it is missing"
-            )
-        if self.shaft_angle != "from_x" and self.tacho.angle is None:
-            yield (
-                "must give tacho.angle where angles of weights are measured from the mark, but it is missing: where "
-                "nobody knows it, give 0 deg and identify.model_parameters.weight_angle"
-            )
+        yield from self.check_angles(
+            "angles of weights", "where nobody knows it, give 0 deg and identify.model_parameters.weight_angle"
+        )
         for key in ("baseline", "speeds", "slow_roll", "conditions_file", "same_conditions"):
             if getattr(self, key):
                 yield f"must have no {key} for a table of records, but it has one: leave it out"

@@ -11,7 +11,7 @@ from pydantic import Field, PositiveFloat
 
 from pipeline.config.measured import AmplitudeKind, PhaseSense, SpeedUnit, Text
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
-from pipeline.config.section import Section, rule
+from pipeline.config.section import Section, ascending, rule
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import RAD_S, to_vectors
@@ -52,10 +52,10 @@ class RunUpConfig(MotionConfig):
     steady_rows: Annotated[int, Field(ge=1)] = 1
     most_lag: Annotated[float, Field(gt=0, lt=0.5)] = 0.01
 
+    _span = ascending("from_rpm", "to_rpm", strictly=True)
+
     @rule
     def _lawful(self) -> Iterator[str]:
-        if self.from_rpm >= self.to_rpm:
-            yield f"must have from_rpm below to_rpm, but got {self.from_rpm:g} and {self.to_rpm:g}"
         if (not find_volts(self.unit)) != (not self.scale):
             yield (
                 "must have a scale (such as 7.87 V/mm) for voltages and for nothing else, but got the unit "

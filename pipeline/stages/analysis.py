@@ -6,11 +6,10 @@ Files have an identity: what they were made from.
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from pathlib import Path
@@ -22,7 +21,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.excitation_files import write_excitation
 from pipeline.data.vibration_files import write_vibration
 from pipeline.errors import ConfigError, DataError
-from pipeline.files import hash_file
+from pipeline.files import hash_file, hash_json
 from pipeline.problem.configured import list_known
 from pipeline.processes import settle_torch
 from pipeline.reporting.console import say, warn
@@ -95,7 +94,7 @@ def hash_machine(config: Config) -> str:
         kept.add("operating")
     parts = config.machine.model_dump(mode="json", include=kept)
     parts["rotor"] = {key: value for key, value in parts["rotor"].items() if key != "supports" or value}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+    return hash_json(parts)
 
 
 def hash_origin(config: Config, work: Workspace) -> str:
@@ -197,6 +196,17 @@ def _mark(path: Path) -> tuple[int, int, int]:
 # --- its stages ---------------------------------------------------------------------------------------
 
 
+@contextmanager
+def say_interrupt(what: str, piece: str = "trial") -> Iterator[None]:
+    """Ctrl-C in the block ends the command with 130, and a sentence says that ``what`` goes on where it was, with every
+    ``piece`` that is done."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        warn(f"{what} interrupted; no finished {piece} is lost, and the same command goes on")
+        raise SystemExit(130) from None
+
+
 def use_threads(config: Config) -> None:
     """Let torch use the configured number of threads. Raises ConfigError for a device that it does not see."""
     settle_torch(config.threads)
@@ -226,7 +236,7 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageRecord]) -> None:
     # Stages of one experiment with the same configuration share this tag.
     apart = ("stage", "tracking", "check", "comparison", "report", "balance", "predict")
     shared = {key: parameters[key] for key in parameters if key not in apart}
-    group = hashlib.sha256(json.dumps(shared, sort_keys=True).encode()).hexdigest()[:12]
+    group = hash_json(shared, 12)
     made = replace(
         output,
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them

@@ -18,9 +18,9 @@ from pipeline.reporting.comparison import (
     tabulate,
     write_markdown,
 )
-from pipeline.reporting.console import count_progress, say
+from pipeline.reporting.console import count_progress
 from pipeline.rotor.stored import require_nodes
-from pipeline.stages.analysis import Analysis, use_threads
+from pipeline.stages.analysis import Analysis, say_interrupt, use_threads
 from pipeline.tracking import StageRecord
 
 
@@ -45,20 +45,16 @@ def run(analysis: Analysis) -> StageRecord:
         for method in asked.methods
         if case.data_set < asked.most_data_sets.get(method, asked.data_sets)
     ]
-    try:
-        with count_progress(config.name, len(runs)) as show:
-            results = compare(
-                machine,
-                runs,
-                folder / "comparison",
-                lambda done, _, result: show(
-                    done,
-                    f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s",
-                ),
-            )
-    except KeyboardInterrupt:
-        say(f"{config.name}: interrupted; what is done is kept, and the same command goes on from there")
-        raise SystemExit(130) from None
+    with say_interrupt(f"{config.name}: comparison", "result"), count_progress(config.name, len(runs)) as show:
+        results = compare(
+            machine,
+            runs,
+            folder / "comparison",
+            lambda done, _, result: show(
+                done,
+                f"{result.method}, {result.case.sensors}, {100 * result.case.noise:g} % in {result.seconds:.1f} s",
+            ),
+        )
     comparison = Comparison(tuple(results), choose_main_case(asked, n_speeds), tuple(config.identify.named()))
     summary = summarize_comparison(comparison)
     print_comparison(config.name, comparison)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.reporting.console import count_progress, say, warn
 from pipeline.reporting.study_files import AGAIN, STUDY_FILES, SUMMARY, write_study
 from pipeline.reporting.study_report import StudyReport, summarize_study
-from pipeline.stages.analysis import Analysis
+from pipeline.stages.analysis import Analysis, say_interrupt
 from pipeline.stages.before_fit import say_diagnosis
 from pipeline.stages.measurement import load_modelled, prepare
 from pipeline.tracking import RUNNING, StageRecord, hand_over
@@ -46,16 +45,6 @@ def pose_study(config: Config, measurement: Measurement) -> StudyProblem:
             "trial does by what it leaves over: state it in stated_noise, and give loss.noise=stated"
         )
     return StudyProblem(config, measurement)
-
-
-@contextmanager
-def say_interrupt(what: str) -> Iterator[None]:
-    """Ctrl-C in the block ends the command with 130, and a sentence says that ``what`` goes on where it was."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        warn(f"{what} interrupted; no finished trial is lost, and the same command goes on")
-        raise SystemExit(130) from None
 
 
 def search(problem: StudyProblem, title: str, seen: Callable[[Any], None] = lambda study: None) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import warnings
@@ -14,6 +13,7 @@ import numpy as np
 
 from pipeline.config.promotion import apply_values
 from pipeline.config.tuning import TuningConfig, Value
+from pipeline.files import hash_json
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.processes import run_all
@@ -168,8 +168,7 @@ def hash_study(study: optuna.Study, problem: StudyProblem) -> str:
     tuning = problem.config.tuning
     trials = [(place, t.state.name, t.value, sorted(t.params.items())) for place, t in list_results(study).items()]
     choice = (tuning.finalists, tuning.seeds, tuning.least_gain, tuning.n_trials, tuning.study)
-    text = json.dumps([problem.fingerprints(), trials, choice], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return hash_json([problem.fingerprints(), trials, choice])
 
 
 # --- as text -----------------------------------------------------------------------------------------

@@ -8,11 +8,10 @@ the residual over the bearing force, the output error by the readings' deviation
 from __future__ import annotations
 
 import hashlib
-import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, without_password
+from pipeline.files import hash_json
 from pipeline.identification.fit import loss_of
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.training import FitSetup, Outcome, minimise, phases
@@ -71,8 +71,7 @@ class StudyProblem:
         return np.asarray(np.log(force.mean(axis=tuple(range(1, force.ndim)))))
 
 
-def _hash(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:12]
+_hash = partial(hash_json, length=12)
 
 
 @cache

@@ -25,9 +25,9 @@ from pipeline.reporting.blocks import BLUE, GREEN, ORANGE, Axes, Curve, Panel, s
 from pipeline.reporting.console import say, table
 from pipeline.reporting.matplotlib_figures import write_panel
 from pipeline.reporting.study_files import HELD_OUT
-from pipeline.stages.analysis import Analysis, record
+from pipeline.stages.analysis import Analysis, record, say_interrupt
 from pipeline.stages.measurement import load_measurement
-from pipeline.stages.tune import pose_study, say_interrupt, search
+from pipeline.stages.tune import pose_study, search
 from pipeline.tracking import StageRecord, recorder_beside
 from pipeline.tuning.finalists import TrialSummary, summarize
 from pipeline.tuning.study import StudyProblem

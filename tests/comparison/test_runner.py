@@ -119,7 +119,7 @@ def test_an_interrupted_stage_says_how_to_go_on(
 
     monkeypatch.setattr("pipeline.stages.compare.compare", interrupted)
     assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
-    assert "goes on from there" in capsys.readouterr().out
+    assert "no finished result is lost" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])

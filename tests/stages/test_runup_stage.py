@@ -110,7 +110,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "few rows": ({"to_rpm": 1100}, "must have at least 40 rows (revolutions) on its ramp, but it has 5"),
     "no rows": ({"to_rpm": 1031, "rate_rpm_per_s": 229}, "must have rows, but it has none"),
     "thinned rows": ({"to_rpm": 4900}, "must be a ramp of one rate with a row a revolution"),
-    "a range the wrong way": ({"from_rpm": 3000}, "must have from_rpm below to_rpm"),
+    "a range the wrong way": ({"from_rpm": 3000}, "must have from_rpm < to_rpm"),
     "volts without a scale": ({"scale": None}, "must have a scale (such as 7.87 V/mm) for voltages"),
     "a velocity": ({"scale": "4 mV/(mm/s)"}, "must be displacements"),
     "no rate": ({"rate_rpm_per_s": 0}, "must have a rate_rpm_per_s that is not 0"),
