@@ -13,6 +13,8 @@ from pipeline.methods.method import Estimate, MethodOptions
 from pipeline.problem.measurement import Measurement
 from pipeline.stages.compare import build_machine
 
+FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
+
 
 @cache
 def machine(*overrides: str) -> Machine:

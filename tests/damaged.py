@@ -30,6 +30,21 @@ Law = tuple[str, Change, str]
 Refused = Callable[..., None]
 
 
+def damage(content: bytes, seed: int, head: int = 800) -> bytes:
+    """A fifth is cut, a fifth has a piece twice or lacks one; half of the bytes that change stand in the head, where
+    sizes are."""
+    rng, changed = np.random.default_rng(seed), bytearray(content)
+    if seed % 5 == 0:
+        return content[: rng.integers(len(content))]
+    if seed % 5 == 1:
+        end, start = rng.integers(len(content), size=2)
+        return content[:end] + content[start:]
+    for _ in range(rng.integers(1, 5)):
+        at = rng.integers(min(len(content), head) if rng.random() < 0.5 else len(content))
+        changed[at] = changed[at] ^ 1 << rng.integers(8) if rng.random() < 0.5 else rng.integers(256)
+    return bytes(changed)
+
+
 def loaded(path: Path) -> pd.DataFrame:
     """A table as it is."""
     return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)

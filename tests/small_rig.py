@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from balancing import circular
-from small_rotor import small_machine
+from small_rotor import DIRECT, small_machine
 
 from pipeline.data.conditions import Conditions
 from pipeline.parameters.model import model_parameters
@@ -16,7 +16,6 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.rotor.bearing_table import BearingTable
 
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 SPEEDS, PLANES = np.array([110.0, 135.0]), (2, 4)
 CHANNELS = tuple((node, angle) for node in (1, 3) for angle in (20.0, 110.0))
 SIZE = len(SPEEDS) * len(CHANNELS)

@@ -20,6 +20,8 @@ from pipeline.rotor.stored import load_rotor
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
 NOISE = 2e-7
+DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
+STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 SPEEDS = np.linspace(60.0, 260.0, 6)
 FITTED = (
     "experiment=ball_bearing",
@@ -44,8 +46,7 @@ def small_machine(
     """Readings of probes at 20 and 110 degrees of a rotor with one disc, and its bearings; direct ones are unknown."""
     shaft = [{"length": 1.0, "outer_diameter": 0.03, "inner_diameter": 0.0, "elements": 5}]
     disc = {"node": 2, "mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
-    material = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
-    config = {"material": material, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 5], "shear_effects": True}
+    config = {"material": STEEL, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 5], "shear_effects": True}
     model = load_rotor(RotorConfig.model_validate(config))
     bearings = BearingTable((0, 5), speeds, np.tile(eight, (2, len(speeds), 1)))
     channels = tuple((node, angle) for node in (0, 5) for angle in (20.0, 110.0))

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from running import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 

@@ -9,10 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from running import ROOT
 
 pytestmark = pytest.mark.slow
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_tutorial_makes_a_machine_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

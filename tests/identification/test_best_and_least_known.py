@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from running import composed
-from small_rotor import FITTED, small_machine
+from small_rotor import DIRECT, FITTED, small_machine
 
 from pipeline.config.compose import compose_config
 from pipeline.identification.combinations import _deviation, _directions, _share, combine
@@ -19,7 +19,6 @@ from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.slopes import invert
 from pipeline.reporting.diagnosis import describe_combinations, summarize_combinations
 
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 TWO = np.array([100.0, 120.0])
 SETUP = setup_of(composed(*FITTED))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from running import composed
-from small_rotor import FITTED, NOISE, small_machine
+from small_rotor import DIRECT, FITTED, NOISE, small_machine
 
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import add_noise
@@ -17,8 +17,6 @@ from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.training import setup_of
 from pipeline.parameters.identify import ModelParametersConfig
 from pipeline.parameters.model import ModelParameter, model_parameters
-
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 
 
 def test_tolerances_carry_their_units() -> None:

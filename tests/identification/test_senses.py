@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import Run, assert_says
 from running import FEW_SPEEDS, composed, strict_json
-from small_rotor import FITTED, small_machine
+from small_rotor import DIRECT, FITTED, small_machine
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
@@ -18,7 +18,6 @@ from pipeline.identification.training import FitSetup
 
 ORTHOTROPIC = (2e6, 3e5, -4e5, 1e6, 900.0, 100.0, 150.0, 600.0)
 ISOTROPIC = (2e6, 3e5, -3e5, 2e6, 900.0, 40.0, -40.0, 900.0)
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 REVERSED = np.array([-1.0 if name in ("kxy", "kyx", "cxx", "cyy") else 1.0 for name in COEFFICIENTS])
 """Signs with which a machine looks, mirrored and time reversed, as it does without them."""
 

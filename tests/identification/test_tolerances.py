@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from running import composed
-from small_rotor import FITTED, small_machine
+from small_rotor import DIRECT, FITTED, small_machine
 
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
 from pipeline.parameters.model import USUAL, usual_tolerances
 from pipeline.problem.measurement import Measurement
 
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 SETUP = setup_of(composed(*FITTED))
 SPEEDS = np.linspace(60.0, 300.0, 9)
 

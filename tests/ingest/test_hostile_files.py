@@ -25,6 +25,7 @@ import pytest
 import pyuff
 import scipy.io
 from conftest import refused
+from damaged import damage
 from measured_files import table_config, uff_set, write_hdf5, write_tdms, write_uff
 from reading import wide_runs, with_ingest
 from scipy.io import wavfile
@@ -107,17 +108,6 @@ def whole(kind: str) -> bytes:
         path = Path(folder) / f"good.{KINDS[kind][0]}"
         KINDS[kind][1](path)
         return path.read_bytes()
-
-
-def damage(content: bytes, seed: int, head: int = 800) -> bytes:
-    """A fifth is cut; half of the bytes that change stand in the head, where sizes are."""
-    rng, changed = np.random.default_rng(seed), bytearray(content)
-    if seed % 5 == 0:
-        return content[: rng.integers(len(content))]
-    for _ in range(rng.integers(1, 5)):
-        at = rng.integers(min(len(content), head) if rng.random() < 0.5 else len(content))
-        changed[at] = changed[at] ^ 1 << rng.integers(8) if rng.random() < 0.5 else rng.integers(256)
-    return bytes(changed)
 
 
 def read(kind: str, path: Path) -> np.ndarray:

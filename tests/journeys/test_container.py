@@ -13,8 +13,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-
-ROOT = Path(__file__).parents[2]
+from running import ROOT
 
 
 def read_lines(name: str) -> list[str]:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ANSWER, DATA, Run
-from running import FEW_SPEEDS, names_in
+from running import FEW_SPEEDS, ROOT, names_in
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -28,7 +28,6 @@ from pipeline.stages import robustness, train
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
 
-ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "120"}
 COARSE = [
     "experiment=ball_bearing",

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import Artifacts
-
-ROOT = Path(__file__).resolve().parents[2]
+from running import ROOT
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from comparing import answer, errors, machine, options, task
+from comparing import FILM, answer, errors, machine, options, task
 from scipy.linalg import expm
 
 from pipeline.comparison.cases import Case
@@ -21,7 +21,6 @@ pytestmark = pytest.mark.slow
 
 BACKWARD = ("experiment=all_coefficients_backward", "machine.speeds.step_rpm=200")
 FORWARD = ("experiment=all_coefficients", "machine.speeds.step_rpm=200")
-FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
 BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
 

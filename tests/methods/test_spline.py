@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from comparing import composed, errors, options, task
+from comparing import FILM, composed, errors, options, task
 
 from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
@@ -13,7 +13,6 @@ from pipeline.methods.method import Estimate
 from pipeline.methods.spline import _spread, differentiate, enlarge, identify_by_spline, make_basis, pose
 from pipeline.problem.slopes import stack_rows
 
-FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing", "machine.speeds.step_rpm=100")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import MachineFactory
+from small_rotor import STEEL
 
 from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
@@ -17,8 +18,6 @@ from pipeline.parameters.weights import update_excitations
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.stored import load_rotor
-
-STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 
 
 def test_weights_follow_the_angle_and_the_law() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_rotor import small_machine
+from small_rotor import DIRECT, small_machine
 
 from pipeline.data.dataset import Excitation, subtract_baseline
 from pipeline.data.sensors import NoiseModel, project
@@ -16,8 +16,6 @@ from pipeline.identification.identified import answer_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
 from pipeline.problem.residual import per_speed_least_squares
-
-DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 
 
 def without(measurement: Measurement, points: np.ndarray, run: int) -> Measurement:

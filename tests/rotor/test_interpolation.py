@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from small_rotor import STEEL
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
@@ -15,7 +16,6 @@ from pipeline.rotor.interpolation import bearing_places, move_bearing, shaft_row
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.stored import load_rotor
 
-STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 LENGTH = 0.56
 SPEEDS = np.linspace(40.0, 130.0, 4)
 

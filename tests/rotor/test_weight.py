@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_rotor import STEEL
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.rotor.weight import GRAVITY, estimate_journals, find_static_loads
 
-MATERIAL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
-
 
 def _rotor(nodes: list[int]) -> RotorModel:
     shaft = [{"length": 1.2, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}]
     discs = [{"node": 3, "mass": 20.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}]
-    config = {"material": MATERIAL, "shaft": shaft, "discs": discs, "bearing_nodes": nodes, "shear_effects": True}
+    config = {"material": STEEL, "shaft": shaft, "discs": discs, "bearing_nodes": nodes, "shear_effects": True}
     return load_rotor(RotorConfig.model_validate(config))
 
 

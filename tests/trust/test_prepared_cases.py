@@ -9,8 +9,8 @@ from types import ModuleType
 
 import pytest
 import yaml
+from running import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MACHINES = yaml.safe_load((ROOT / "studies" / "verdicts" / "cases.yaml").read_text(encoding="utf-8"))
 CASES = {name: case for group in ("chosen", "judged") for name, case in MACHINES[group].items()}
 

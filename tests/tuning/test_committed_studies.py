@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import yaml
 from dashboard import add_trials, gather_studies
-from running import contents
+from running import ROOT, contents
 
 from pipeline.config.compose import compose_config
 from pipeline.errors import ConfigError, DataError
@@ -17,7 +17,6 @@ from pipeline.stages import run_stage
 from pipeline.tuning.finalists import TRIALS, format_trials
 from pipeline.tuning.storage import open_storage
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "studies").glob(f"*/{TRIALS}"))
 
 

@@ -11,6 +11,7 @@ import scipy.linalg
 from conftest import Machine, MachineFactory, bearings_of
 from hypothesis import given
 from hypothesis import strategies as st
+from small_rotor import STEEL
 
 from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
@@ -81,7 +82,7 @@ def rigid_rotor() -> RotorModel:
     disc = {"node": 1, "mass": 50.0, "diametral_inertia": 0.05, "polar_inertia": 0.06}
     config = {
         "shaft": [{"length": 0.4, "outer_diameter": 0.1, "elements": 2}],
-        "material": {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9},
+        "material": STEEL,
         "discs": [disc],
         "bearing_nodes": [0, 2],
     }

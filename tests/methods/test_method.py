@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from comparing import machine, options, task
+from comparing import FILM, machine, options, task
 
 from pipeline.comparison.cases import Case
 from pipeline.methods.catalogue import METHODS
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
-FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 CASE = Case(0.01, "all", 12)
 COLD, WARM = 318.15, 338.15
 

@@ -21,6 +21,14 @@ from pipeline.data.excitation_files import write_excitation
 from pipeline.data.tables import read_table
 from pipeline.data.vibration_files import write_vibration
 
+Runs = list[dict[str, Any]]
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Runs:
+    """Those of the configuration, each with a wide table."""
+    return wide_runs(tmp_path)
+
 
 def test_the_high_spot_of_a_stiff_rotor_is_where_the_unbalance_is(tmp_path: Path) -> None:
     """Far below its critical speed a rotor leans towards its unbalance: probes say so by their lag, in all conventions.
@@ -62,9 +70,8 @@ def test_long_tables(ending: str, tmp_path: Path) -> None:
     check_read(read(table_config(RUNS, "long", file=str(path), leave_out=["spare"])))
 
 
-def test_a_table_as_written_elsewhere(tmp_path: Path) -> None:
+def test_a_table_as_written_elsewhere(runs: Runs) -> None:
     """Semicolons, decimal commas and lines before the header, said in the configuration."""
-    runs = wide_runs(tmp_path)
     for run in runs:
         path = Path(run["file"])
         path.write_text("made by: someone\n\n" + pd.read_csv(path).to_csv(sep=";", decimal=",", index=False))
@@ -78,9 +85,8 @@ def write_as_a_logger(table: pd.DataFrame) -> list[str]:
     return ["Plant: Möhne; fan", "", *(";".join(row) for row in (table.columns, units, *numbers))]
 
 
-def test_the_format_of_a_logger_is_recognised_and_said(tmp_path: Path) -> None:
+def test_the_format_of_a_logger_is_recognised_and_said(runs: Runs) -> None:
     """cp1252, semicolons, decimal commas, thousands, text above the header, units below it: nothing is stated."""
-    runs = wide_runs(tmp_path)
     for run in runs:
         path = Path(run["file"])
         path.write_bytes("\r\n".join([*write_as_a_logger(pd.read_csv(path)), ""]).encode("cp1252"))
@@ -118,8 +124,7 @@ def test_a_mark_that_parts_thousands(cells: str, decimal: str | None, value: flo
         read_table(tmp_path / "t.csv", {"a": "number"})
 
 
-def test_other_columns_in_one_run(tmp_path: Path) -> None:
-    runs = wide_runs(tmp_path)
+def test_other_columns_in_one_run(runs: Runs) -> None:
     path = Path(runs[1]["file"])
     pd.read_csv(path).rename(columns={"A amp": "amplitude 1", "A ph": "phase 1"}).to_csv(path, index=False)
     runs[1] |= {"columns": {"A": {"amplitude": "amplitude 1", "phase": "phase 1"}}}
@@ -192,9 +197,8 @@ BAD_TABLES: dict[str, tuple[Damage, str, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD_TABLES)
-def test_a_damaged_table_is_refused(case: str, tmp_path: Path) -> None:
+def test_a_damaged_table_is_refused(case: str, runs: Runs) -> None:
     damage, words, more = BAD_TABLES[case]
-    runs = wide_runs(tmp_path)
     path = Path(runs[1]["file"])
     damaged = damage(pd.read_csv(path))
     path.write_text(damaged) if isinstance(damaged, str) else damaged.to_csv(path, index=False)
@@ -243,18 +247,16 @@ def test_runs_of_a_long_table_and_of_the_configuration(tmp_path: Path) -> None:
         read(table_config(RUNS, "long", file=str(path), leave_out=["three"], probes=probes))
 
 
-def test_the_last_line_of_a_cut_table_is_warned_of(tmp_path: Path) -> None:
+def test_the_last_line_of_a_cut_table_is_warned_of(runs: Runs) -> None:
     """What was cut within its last number can't be seen otherwise."""
-    runs = wide_runs(tmp_path)
     path = Path(runs[0]["file"])
     path.write_text(path.read_text().rstrip("\n")[:-2])
     assert "does not end with the end of a line" in notes(table_config(runs))
 
 
 @pytest.mark.parametrize(("written", "said"), [("rad", "deg"), ("deg", "rad")])
-def test_phases_of_the_other_unit_are_warned_of(written: str, said: str, tmp_path: Path) -> None:
+def test_phases_of_the_other_unit_are_warned_of(written: str, said: str, runs: Runs) -> None:
     """Radians that are called degrees stay within a turn in radians and yet differ widely; and the reverse."""
-    runs = wide_runs(tmp_path)
     for run in runs:
         wide(seen(TURNS[run["name"]]), CONVENTIONS | {"phase_unit": written}).to_csv(run["file"], index=False)
     words = "in radians" if said == "deg" else "in degrees"
@@ -276,10 +278,9 @@ def test_lengths_that_are_a_thousand_times_too_large(tmp_path: Path) -> None:
     ],
 )
 def test_probes_that_do_not_give_x_and_y_stay_as_they_are(
-    probes: dict[str, Any], angles: list[float], tmp_path: Path
+    probes: dict[str, Any], angles: list[float], runs: Runs
 ) -> None:
     """Two of the same direction are averaged; x and y of the other node are as before."""
-    runs = wide_runs(tmp_path)
     for run in runs:
         wide(seen(TURNS[run["name"]], probes=probes)).to_csv(run["file"], index=False)
     section = table_config(runs, probes=probes_config(probes, **PAIR))
@@ -292,9 +293,8 @@ def test_probes_that_do_not_give_x_and_y_stay_as_they_are(
     assert "the probes at node 2 look" not in notes(section)
 
 
-def test_three_probes_at_a_node(tmp_path: Path) -> None:
+def test_three_probes_at_a_node(runs: Runs) -> None:
     probes = PROBES | {"E": (0, 100.0)}
-    runs = wide_runs(tmp_path)
     for sign, warned in ((1.0, False), (-1.0, True)):
         for run in runs:
             vectors = seen(TURNS[run["name"]], probes=probes).of
@@ -305,8 +305,7 @@ def test_three_probes_at_a_node(tmp_path: Path) -> None:
             check_read(read(section))
 
 
-def test_a_baseline_run_has_data_and_no_excitation(tmp_path: Path) -> None:
-    runs = wide_runs(tmp_path)
+def test_a_baseline_run_has_data_and_no_excitation(runs: Runs, tmp_path: Path) -> None:
     base = tmp_path / "base.csv"
     wide(seen(2.0)).to_csv(base, index=False)
     dataset = read(table_config([{"name": "as found", "file": str(base)}, *runs], baseline="as found"))
@@ -318,8 +317,7 @@ def test_a_baseline_run_has_data_and_no_excitation(tmp_path: Path) -> None:
     assert set(pd.read_csv(tmp_path / "excitation.csv")["run"]) == {"one", "two"}
 
 
-def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
-    runs = wide_runs(tmp_path)
+def test_slow_roll_runout_is_subtracted(runs: Runs) -> None:
     for run in runs:
         turning = seen(TURNS[run["name"]]).of
         of = {name: np.append(np.full(3, RUNOUT[name]), v + RUNOUT[name]) for name, v in turning.items()}
@@ -339,9 +337,8 @@ def test_slow_roll_runout_is_subtracted(tmp_path: Path) -> None:
         read(table_config(runs, speeds=speeds, slow_roll={"below_rpm": 50}))
 
 
-def test_forces_of_either_whirl_and_of_their_own_frequency(tmp_path: Path) -> None:
+def test_forces_of_either_whirl_and_of_their_own_frequency(runs: Runs) -> None:
     """A run may be excited by forces; an asynchronous one is written with its frequency."""
-    runs = wide_runs(tmp_path)
     runs[1] = {
         "name": "two",
         "file": runs[1]["file"],

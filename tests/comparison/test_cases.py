@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from comparing import answer, composed, errors, machine, options, task
+from comparing import FILM, answer, composed, errors, machine, options, task
 
 from pipeline.comparison.cases import Case, choose_main_case, list_cases
 from pipeline.config.comparison import MethodName
@@ -16,7 +16,6 @@ from pipeline.methods.method import Refusal
 
 EXACT = 1e-10  # percent, rounding
 METHOD_NAMES = get_args(MethodName)
-FILM = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=100")
 BALLS = ("experiment=ball_bearing",)
 OIL = ("experiment=compressor_two_journals", "machine=compressor_oil_temperatures", "machine.speeds.step_rpm=340")
 BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")

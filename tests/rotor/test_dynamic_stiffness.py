@@ -11,6 +11,7 @@ import scipy.linalg
 from conftest import Machine, MachineFactory, bearings_of, examples
 from hypothesis import given
 from hypothesis import strategies as st
+from small_rotor import STEEL
 
 from benchmarks.machines import refined
 from benchmarks.ross_oracle import ross_rotor
@@ -26,8 +27,6 @@ from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
 from pipeline.rotor.ross_adapter import assemble
 from pipeline.twin.modes import find_critical_speeds, find_modes
 from pipeline.units import RAD_S_PER_RPM
-
-STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 
 
 def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
