@@ -21,13 +21,13 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1735,
+    "config": 1731,
     "laws": 493,
     "rotor": 757,
     "data": 1069,
     "parameters": 452,
     "sweep": 246,
-    "ingest": 1646,
+    "ingest": 1642,
     "problem": 1528,
     "identification": 2947,
     "evaluation": 216,
@@ -37,7 +37,7 @@ STATEMENTS = {
     "export": 161,
     "methods": 552,
     "comparison": 116,
-    "tuning": 489,
+    "tuning": 487,
     "reporting": 2515,
     "tracking": 351,
     "stages": 1108,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18833, 14500),
+    "statements of pipeline/": (18822, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13554, 13000),
+    "statements of tests/": (13496, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (765, 380),
     "their files": (111, 75),
