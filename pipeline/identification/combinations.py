@@ -2,7 +2,7 @@
 
 Two coefficients may each be unknown while their sum is known well. The covariance of the coefficients, in shares of
 their sizes, has directions of smallest and largest deviation: what is known best, and what least. It is that of the
-fit that will be made, at its linear start, with residual unbalance and model parameters.
+fit that will be made, at its likely start, with residual unbalance and model parameters.
 
 Legend: A active unknowns, T model parameters, Z weights.
 """
@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.data.dataset import VibrationDataset
-from pipeline.identification.output_error_start import prepare_output_error
+from pipeline.identification.output_error_start import find_likely
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import FitSetup
 from pipeline.problem.condition_noise import NO_LEVELS
+from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, rank, rank_indices
 from pipeline.problem.slopes import invert
@@ -72,11 +73,11 @@ class Combinations:
 
 
 def combine(measurement: Measurement, setup: FitSetup) -> Combinations | None:
-    """The combinations at the linear start of the fit; None where coefficients are functions of the speed."""
+    """The combinations at the likely start of the fit; None where coefficients are functions of the speed."""
     if not setup.constant:
         return None
-    start = prepare_output_error(measurement, setup)
-    problem, weights = start.problem, start.weights[:1]
+    start = find_likely(measurement, setup)
+    problem, weights = start.problem, start.weights
     information, relative = problem.normal(weights)[1][0, 0], _share(problem, weights)
     covariance, measurement = invert(information), problem.measurement
     spread, directions = _directions(relative, covariance)
@@ -95,9 +96,10 @@ def combine(measurement: Measurement, setup: FitSetup) -> Combinations | None:
 
 
 def _share(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
-    """(A, Z) change of each constant, as a share of itself, by the weights."""
-    slopes = problem.unknown_slopes(weights)[0, 0]
-    shares = slopes / np.abs(problem.unknowns(weights)[0][0, 0].numpy())[:, None]
+    """(A, Z) change of each constant, as a share of its size (:func:`measure_sizes`), by the weights."""
+    unknowns, table = problem.measurement.unknowns, problem.identified(weights).table(problem.measurement.known)
+    sizes = unknowns.to_active(unknowns.leading(measure_sizes(table.values)))[0]
+    shares = problem.unknown_slopes(weights)[0, 0] / np.where(sizes > 0, sizes, 1.0)[:, None]
     return np.pad(shares, ((0, 0), (0, problem.places.size - shares.shape[1])))
 
 

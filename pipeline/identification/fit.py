@@ -25,6 +25,7 @@ from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_re
 from pipeline.problem.identifiability import require_identifiable
 from pipeline.problem.law_information import require_temperatures
 from pipeline.problem.measurement import Guess, Measurement
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.write_numbers import write_rough
 
 
@@ -150,27 +151,28 @@ class OutputErrorLoss:
 
     def diagnose(self, measurement: Measurement, setup: FitSetup) -> Diagnosis:
         """As :meth:`ResidualLoss.diagnose`, by least squares of the forces at the bearings, or by the model's own
-        features where sensors are few.
+        features, and bearings that explain the readings, where sensors are few.
         """
 
-        def features(data: Measurement) -> np.ndarray:
-            from pipeline.identification.output_error_start import drawn_basis
+        def suppose(data: Measurement) -> tuple[np.ndarray, BearingTable]:
+            from pipeline.identification.output_error_start import drawn_basis, find_likely
 
-            points = data.dataset.points
-            return np.asarray(drawn_basis(setup, data, points).at(points).numpy())
+            start, points = find_likely(measurement, setup), data.dataset.points
+            features = drawn_basis(setup, data, points).at(points).numpy()
+            return np.asarray(features), start.problem.identified(start.weights).table(measurement.known)
 
-        return diagnose_response(measurement, setup.constant, features)
+        return diagnose_response(measurement, setup.constant, suppose)
 
     def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
-        """The deviations of the fit that will be made, at its linear start, for all functions of the model
+        """The deviations of the fit that will be made, at its likely start, for all functions of the model
         (:func:`pipeline.identification.uncertainty.expect_uncertainty`).
         """
-        from pipeline.identification.output_error_start import prepare_output_error
+        from pipeline.identification.output_error_start import find_likely
         from pipeline.identification.uncertainty import expect_uncertainty
 
         if not setup.model.has_laws and not diagnosis.solved:
             return diagnosis.deviations
-        start = prepare_output_error(measurement, setup)
+        start = find_likely(measurement, setup)
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
         kind, precision = "bearing laws of few numbers" if setup.model.has_laws else kind, 1.0
         if start.searched and setup.loss.noise == "estimated":

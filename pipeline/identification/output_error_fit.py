@@ -97,7 +97,8 @@ def _refuse_lost(fit: OutputErrorFit, nothing: float = 1e-60) -> None:
         named = ", ".join(f"{names[u]} at node {nodes[m]}" for m, u in lost)
         raise ConfigError(
             f"every coefficient that is identified must leave a trace in the readings, but {named} ran off to zero: "
-            "the readings contradict the rotor or the runs. Check phase (lag or lead), probes, weights and rotor, "
+            "the readings tell nothing of it (stage=diagnose says so beforehand), or contradict the rotor or the runs. "
+            "Check phase (lag or lead), probes, weights and rotor, state a size (identify.known_within=30), "
             "or give what can't be told as data.known"
         )
 
@@ -214,8 +215,7 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest
         used -= float((problem.covariance(weights)[0] * problem.prior.information.numpy()).sum())
-    rest = max(1.0 - used / readings.size, 0.05)
-    return np.asarray(np.sqrt(squared / rest))
+    return np.asarray(np.sqrt(squared / max(1.0 - used / readings.size, 0.05)))
 
 
 def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:

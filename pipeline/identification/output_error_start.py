@@ -81,8 +81,7 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     begin: Callable[..., tuple[OutputError, dict[str, Any]]] = _start_by_coefficients
     begin = _start_by_laws if training.laws else _start_by_population if setup.model.families else begin
     make_basis = nodes_basis if setup.model.families else drawn_basis
-    basis = make_basis(setup, training, measurement.dataset.points)
-    problem, first = begin(training, setup, basis, plane_scale)
+    problem, first = begin(training, setup, make_basis(setup, training, measurement.dataset.points), plane_scale)
     problem = problem.with_baseline(first["weights"][:1])
     measurement = replace(measurement, as_found=problem.measurement.as_found, noise=problem.measurement.noise)
     left_out: dict[str, Measurement] = {}
@@ -92,6 +91,23 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
         left_out["held_out_runs"] = measurement.select(None, held_out)
     predicted = {name: output_error(other, problem.basis, plane_scale) for name, other in left_out.items()}
     return OutputErrorStart(measurement=measurement, keep=keep, problem=problem, held_out=predicted, **first)
+
+
+@lru_cache(maxsize=1)
+def find_likely(measurement: Measurement, setup: FitSetup, within: float = 1e3) -> OutputErrorStart:
+    """The start of the fit at one answer that is likely: what is expected of guesses in several sizes is as wrong as
+    they are.
+
+    Constants that fit the readings, as of :func:`_approach`; what these do not tell is known to a factor ``within`` of
+    the guess, where no other is stated.
+    """
+    start = prepare_output_error(measurement, setup)
+    weights, problem, made = start.weights, start.problem, start.problem.measurement
+    if start.from_guess and len(weights) > 1 and not any(parameter.growth for parameter in made.parameters):
+        known = replace(made, guess=replace(made.guess, within=made.guess.within or within), solved=made.response)
+        held = replace(problem, sensors=replace(problem.sensors, measurement=known))
+        weights = _approach(held, weights, setup.optimizer.levenberg_marquardt)
+    return replace(start, weights=weights[:1])
 
 
 def _start_by_coefficients(
@@ -155,8 +171,9 @@ def _approach(
     weights = problem.with_features(weights, 1)
     count = 1 + int(np.log(max(float(limited.loss(weights).min()), 1.0)) / np.log(factor))
     for turn in range(count, -1, -1):
-        rough = limited.scaled(factor**-turn)
-        weights = levenberg_marquardt(rough, weights, config, until_still(1e-3), by_diagonal=True)
+        weights = levenberg_marquardt(
+            limited.scaled(factor**-turn), weights, config, until_still(1e-3), by_diagonal=True
+        )
     best = limited.loss(weights)[:, 0].nan_to_num(float("inf")).argsort()
     return limited.with_features(weights[best], problem.features.shape[-1])
 
@@ -181,8 +198,7 @@ def _temper(
         # The noise follows from what is predicted: ends are compared by their likelihood, each at its own noise.
         for _ in range(2):
             solved = problem.update(weights)
-            readings = solved.readings.follow(solved.predicted(weights))
-            rough = replace(solved, readings=readings, exact=True)
+            rough = replace(solved, readings=solved.readings.follow(solved.predicted(weights)), exact=True)
             weights = levenberg_marquardt(rough, weights, limited, until_still(1e-3), by_diagonal=True)
         ends.append((float(rough.rows(weights).square().sum()) + rough.readings.log_determinant(), weights))
     losses = [loss for loss, _ in ends]
@@ -271,8 +287,7 @@ def _start_by_population(
     problem = output_error(training, basis, plane_scale)
     model = basis.model
     nodes = np.geomspace(*model.ranges[0], model.n_functions)
-    choices = list_choices(training, setup.model.families, nodes)
-    searched = search(problem, choices, setup.seed)
+    searched = search(problem, list_choices(training, setup.model.families, nodes), setup.seed)
     first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
     return replace(searched.problem, functions=searched.choices.functions()), first
 

@@ -169,16 +169,16 @@ def measure_uncertainty(fit: OutputErrorFit, quality: Quality) -> Uncertainty:
 
 
 def expect_uncertainty(start: OutputErrorStart, precision: float) -> Uncertainty:
-    """That of the fit that will be made, at its linear start: of noise, of tolerances as if they were fitted, and of
+    """That of the fit that will be made, at its likely start: of noise, of tolerances as if they were fitted, and of
     the kinds of bearings that are likely. The fit drops superfluous functions, so it may know more.
 
     ``precision`` is that of the readings over what their stated noise gives them.
     """
-    problem, weights = widen(start.problem.scaled(precision), start.weights[:1])
+    problem, weights = widen(start.problem.scaled(precision), start.weights)
     covariance = problem.covariance(weights)[0]
     covariance = start.searched.mix(covariance) if start.searched else covariance
     return _state(
-        start.problem.identified(start.weights[:1]), problem, weights, covariance, 0, none_unfitted(len(covariance))
+        start.problem.identified(start.weights), problem, weights, covariance, 0, none_unfitted(len(covariance))
     )
 
 

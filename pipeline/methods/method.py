@@ -17,7 +17,7 @@ from pipeline.errors import DataError, PipelineError
 from pipeline.identification.quality import FAR_FROM_EXPECTED
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.parameters.kind import turns_with_rotor
-from pipeline.problem.diagnosis import determines, sensor_rows
+from pipeline.problem.diagnosis import determines, guess_bearings, sensor_rows
 from pipeline.problem.identifiability import Identifiability, Solvability, judge_identifiability
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.residual import BearingEquations, LinearResidual
@@ -172,7 +172,7 @@ def require_determined(measurement: Measurement, together: bool) -> None:
 
     Judged at bearings of the size of the guess that are all the same: what their symmetry hides is hidden near it, too.
     """
-    rows, _ = sensor_rows(measurement)
+    rows = sensor_rows(measurement, guess_bearings(measurement))
     if not determines(rows.reshape(1, -1, rows.shape[-1]) if together else rows):
         where = "all speeds together" if together else "a speed by itself"
         nodes = {node for node, _ in measurement.dataset.channels}

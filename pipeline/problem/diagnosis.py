@@ -2,8 +2,9 @@
 
 From the residual where x and y are measured at every bearing; from the response at the sensors otherwise. Where the
 sensors tell the forces at the bearings, the two say the same. Where they do not, all bearings speak through the same
-sensors and are judged together. Neighbouring speeds then help each other as far as the coefficients are smooth
-functions of the speed, and the deviation of the whole parametrisation tells how far. No modelled coefficient is read.
+sensors and are judged together, at bearings that explain the readings. Neighbouring speeds then help each other as far
+as the coefficients are smooth functions of the speed, and the deviation of the whole parametrisation tells how far. No
+modelled coefficient is read.
 
 Legend: S speeds, P channels, R runs, B bearings, M members, U unknowns, A those of them that members have, K features,
 T model parameters.
@@ -12,12 +13,12 @@ T model parameters.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.problem.determination import Deviations
+from pipeline.problem.determination import Deviations, measure_sizes
 from pipeline.problem.expansion import expand
 from pipeline.problem.identifiability import (
     Identifiability,
@@ -49,8 +50,8 @@ class Diagnosis:
 
     @property
     def solved(self) -> bool:
-        """Whether least squares of each speed has an answer at every bearing."""
-        return self.by_least_squares and all(r.verdict is not Solvability.NOT_IDENTIFIABLE for r in self.reports)
+        """Whether there is an answer at every bearing."""
+        return all(report.verdict is not Solvability.NOT_IDENTIFIABLE for report in self.reports)
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
@@ -73,16 +74,17 @@ def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
 
 
 def diagnose_response(
-    measurement: Measurement, constant: bool, features: Callable[[Measurement], np.ndarray]
+    measurement: Measurement, constant: bool, suppose: Callable[[Measurement], tuple[np.ndarray, BearingTable]]
 ) -> Diagnosis:
     """By the response at the sensors, whatever they are.
 
-    ``features`` gives the functions of the speed, (M, S, K), that the coefficients are sought among.
+    ``suppose`` gives what few sensors are judged by: the functions of the speed, (M, S, K), that the coefficients are
+    sought among, and bearings that explain the readings.
     """
     whole = measurement.subtract_unbalance()
     expansion = expand(whole.response, whole.dataset.displacement, whole.deviation)
     if expansion is None:
-        return _diagnose_few_sensors(whole, features(whole))
+        return _diagnose_few_sensors(whole, *suppose(whole))
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
     reports = judge_identifiability(expansion.equations, residual, constant)
     answer = whole.table(per_speed_least_squares(residual)[0])
@@ -93,19 +95,20 @@ def diagnose_response(
 # --- sensors too few for the forces at the bearings ---------------------------------------------------
 
 
-def sensor_rows(measurement: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """How bearings of the size of the guess show in the readings.
-
-    Returns:
-        (S, 2 P R, A) derivative of the readings over their noise by the logarithm of each active unknown, real parts
-        first, and the unknowns (M, S, U) that it was made at.
+def sensor_rows(measurement: Measurement, bearings: BearingTable) -> np.ndarray:
+    """(S, 2 P R, A) how the readings over their noise move with the logarithm of each active unknown, or its share of
+    its size, at these ``bearings``; real parts first.
     """
+    size = measurement.unknowns.to_active(measurement.unknowns.leading(measure_sizes(bearings.values)))
+    return stack_rows(np.sqrt(2.0) * ReadingSlopes(measurement, bearings).by_unknown * size[:, None, None])
+
+
+def guess_bearings(measurement: Measurement) -> BearingTable:
+    """Bearings of the size of the guess, :data:`UNEQUAL`."""
     unknowns = measurement.unknowns
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
-    values = np.repeat((measurement.guess.sizes(unknowns) * shape)[:, None], len(measurement.dataset.speeds), axis=1)
-    size = unknowns.to_active(values)
-    slopes = ReadingSlopes(measurement, measurement.table(values)).by_unknown
-    return stack_rows(np.sqrt(2.0) * slopes * size[:, None, None]), values
+    sizes = (measurement.guess.sizes(unknowns) * shape)[:, None]
+    return measurement.table(np.repeat(sizes, len(measurement.dataset.speeds), axis=1))
 
 
 def determines(rows: np.ndarray) -> bool:
@@ -116,14 +119,18 @@ def determines(rows: np.ndarray) -> bool:
     return bool(np.median(singular[:, -1] / singular[:, 0]) >= DEPENDENT)
 
 
-def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Diagnosis:
-    """At a bearing of the size of the guess: its direct coefficients serve for all."""
-    rows, values = sensor_rows(measurement)
+def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray, bearings: BearingTable) -> Diagnosis:
+    """At ``bearings`` that explain the readings, with the noise of what these show, too: slopes of one response over
+    the noise of another one promise anything.
+    """
+    shown = measurement.deviation_of(measurement.response.predict(bearings), measurement.baseline)
+    weighed = replace(measurement, weighed=np.maximum(measurement.deviation, shown), solved=measurement.response)
+    rows = sensor_rows(weighed, bearings)
     unknowns, dataset = measurement.unknowns, measurement.dataset
     singular, least = decompose(unit_columns(rows))
     rank = count_determined(singular)
     relative = _smooth_deviation(rows, np.stack([features[m] for m, _ in unknowns.active]))
-    spread = unknowns.from_active(relative) * np.abs(values)
+    spread = unknowns.from_active(relative) * unknowns.leading(measure_sizes(bearings.values))
     nodes = measurement.rotor.bearing_nodes
     labels = tuple(
         unknowns.names[u] if unknowns.n_members == 1 else f"{unknowns.names[u]} at node {nodes[m]}"
@@ -142,9 +149,8 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray) -> Dia
         orbit_condition=np.full(len(rank), np.nan),
         together="which share their coefficients" if unknowns.shared else "seen by the same sensors",
     )
-    expected = unknowns.expand_deviation(spread)
-    origin = "smooth functions over all speeds"
-    return Diagnosis((report,), Deviations(measurement.table(values), expected, origin), by_least_squares=False)
+    expected = Deviations(bearings, unknowns.expand_deviation(spread), "smooth functions over all speeds")
+    return Diagnosis((report,), expected, by_least_squares=False)
 
 
 def _smooth_deviation(rows: np.ndarray, features: np.ndarray, prior_deviation: float = 1e3) -> np.ndarray:

@@ -133,8 +133,7 @@ def test_weights_that_turn_turn_the_response(model: Physical, angle: float) -> N
 
 def test_without_a_law_the_response_is_linear(rig: SmallRig, setup: FitSetup) -> None:
     """The part of each plane adds up, and the derivative is the difference."""
-    plain = replace(rig.template, parameters=())
-    model, weights = fit_physical(plain, setup, rig.conditions), loads(2)
+    model, weights = fit_physical(replace(rig.template, parameters=()), setup, rig.conditions), loads(2)
     both, one, other, none = model.predict(np.array([weights[0] + weights[1], *weights, [0, 0]]))[0]
     np.testing.assert_allclose(both, one + other - none, atol=1e-10 * abs(both).max())
     slope, baseline = model.influence_at(weights[0])

@@ -64,8 +64,7 @@ def test_the_recipes_of_readme_run_on_the_examples(tmp_path: Path, monkeypatch: 
     for words in PIPELINE:
         run_command(words, tmp_path)
         if words in whole:
-            name = Path(words[-1]).stem
-            folder = tmp_path / "artifacts" / name
+            folder = tmp_path / "artifacts" / Path(words[-1]).stem
             for file in (file for stage, file in RESULTS.items() if stage in STAGES):
                 assert (folder / file).exists()
             assert json.loads((folder / "training.json").read_text())["outcome"] == "converged"

@@ -52,8 +52,7 @@ def study() -> Any:
 def measurement(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
     """The measurement of a drawn machine without noise, by its user's files, and the real coefficients."""
     folder = tmp_path_factory.mktemp("drawn")
-    drawn = replace(study["draw"].draw_machine(3), floor=0.0)
-    felt = study["ordinary"].write_user_files(folder, drawn, 0.0, 3)
+    felt = study["ordinary"].write_user_files(folder, replace(study["draw"].draw_machine(3), floor=0.0), 0.0, 3)
     config = compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none", f"output={folder / 'answer'}"])
     return load_measurement(config), felt
 

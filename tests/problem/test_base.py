@@ -218,5 +218,4 @@ def test_a_residual_unbalance_of_which_readings_tell_nothing_is_as_large_as_is_k
     spread = np.diag(problem.covariance(start_at(problem, values))[0])[problem.places.planes]
     assert 1e-3 * np.sqrt(spread) == pytest.approx(2e-5, rel=1e-6)
     free = replace(problem.measurement, guess=Guess(1e7, 1e4, within=30.0))
-    information = output_error(free, problem.basis, 1e-3).prior.information
-    assert not information[problem.places.planes].any()
+    assert not output_error(free, problem.basis, 1e-3).prior.information[problem.places.planes].any()

@@ -159,8 +159,7 @@ def test_what_is_determined_least_does_not_hang_on_rounding(rng: np.random.Gener
     assert least[0] == pytest.approx(least[1], abs=1e-10)
     assert np.linalg.norm(columns[0] @ least[0]) == pytest.approx(0.5)
     assert np.linalg.norm(least[0]) == pytest.approx(1.0)
-    alone = np.diag([1.0, -2.0, 0.0])[None]
-    assert decompose(alone)[1] == pytest.approx(np.array([[0.0, 0.0, 1.0]]))
+    assert decompose(np.diag([1.0, -2.0, 0.0])[None])[1] == pytest.approx(np.array([[0.0, 0.0, 1.0]]))
 
 
 @pytest.mark.slow

@@ -226,8 +226,7 @@ def test_equation_7_is_the_gradient_of_the_loss(scaling: str, hydrostatic: Machi
     norm = np.sqrt((np.abs(r) ** 2).sum(axis=(1, 2, 3)))
     for u, name in enumerate(COEFFICIENTS):
         product = r[:, :, row(name)] * q[:, :, column(name)].conj()  # (B, S, R)
-        w = hydrostatic.speeds[:, None]
-        part = product.real if is_stiffness(name) else w * product.imag
+        part = product.real if is_stiffness(name) else hydrostatic.speeds[:, None] * product.imag
         wanted = part.sum(axis=(1, 2)) / norm / np.sqrt(4 * 3 * 60)
         np.testing.assert_allclose(parameters.grad.numpy()[:, u] / scale[:, u], wanted, rtol=1e-8, err_msg=name)
 

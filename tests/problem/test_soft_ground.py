@@ -18,12 +18,13 @@ from pipeline.data.sensors import NoiseModel, Sensors, measure, project
 from pipeline.data.simulate import add_noise, simulate
 from pipeline.errors import ConfigError, DataError
 from pipeline.identification.combinations import combine
-from pipeline.identification.fit import default_setup, fit
+from pipeline.identification.fit import default_setup, fit, loss_of
 from pipeline.identification.identified import Fit
+from pipeline.identification.linear_start import start_at
+from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
 from pipeline.problem.determination import Determination
-from pipeline.problem.diagnosis import diagnose_response
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.reporting.diagnosis import describe_series
@@ -225,18 +226,48 @@ def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
     assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
-def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions() -> None:
-    """Without gyroscopic moments and cross coefficients y is another machine: the diagnosis says that it is open."""
+def seen_in_x(turning: float, guess: Guess) -> tuple[Measurement, BearingTable]:
+    """Probes in x alone of a shaft with so many times its gyroscopic moments, on bearings without cross coefficients
+    and rigid supports; direct ones are unknown. And these bearings.
+    """
     rotor, names = load_rotor(RotorConfig.model_validate(GROUNDED)), ("kxx", "kyy", "cxx", "cyy")
-    rotor = replace(rotor, gyroscopic=0 * rotor.gyroscopic)
+    rotor = replace(rotor, gyroscopic=turning * rotor.gyroscopic)
     real, nothing = (replace(films(), values=films().values * kept) for kept in (np.isin(COEFFICIENTS, names), 0.0))
     data, noise = project(simulate(rotor, real, WEIGHTS), ((1, 0.0), (6, 0.0))), NoiseModel(5e-8, 0.01)
-    made = Measurement(
-        rotor, data, nothing, noise, unknown_set(dict.fromkeys(NODES, BearingUnknowns(names))), Guess(1e7, 1e4)
-    )
-    judged = diagnose_response(made, True, lambda whole: np.ones((2, len(SPEEDS), 1))).deviations.judge()
-    found = {(each.node, each.name): each.verdict is Determination.NOT for each in judged}
-    assert found == {(node, name): "y" in name for node in NODES for name in names}
+    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(names)))
+    return Measurement(rotor, data, nothing, noise, unknowns, guess), real
+
+
+def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions() -> None:
+    """Without gyroscopic moments and cross coefficients y is another machine: the diagnosis says that it is open."""
+    made, _ = seen_in_x(0.0, Guess(1e7, 1e4))
+    setup = default_setup(made.guess, constant=True)
+    diagnosis = loss_of(setup.loss).diagnose(made, setup)
+    for deviations in (diagnosis.deviations, loss_of(setup.loss).expect(made, setup, diagnosis)):
+        found = {(each.node, each.name): each.verdict is Determination.NOT for each in deviations.judge()}
+        assert found == {(node, name): "y" in name for node in NODES for name in ("kxx", "kyy", "cxx", "cyy")}
+
+
+def test_a_probe_in_x_tells_of_y_what_the_true_bearings_would_let_it_tell() -> None:
+    """From a guess that is ten times too soft, whose response is not the one that was read."""
+    made, real = seen_in_x(0.3, Guess(1e6, 1e3))
+    setup = default_setup(made.guess, constant=True)
+    loss = loss_of(setup.loss)
+    foretold = loss.expect(made, setup, loss.diagnose(made, setup)).relative
+    problem = prepare_output_error(made, setup).problem
+    leading = made.unknowns.leading(real.values)
+    true = problem.unknown_deviation(start_at(problem, leading))[0] / made.unknowns.to_active(leading)
+    expected = made.unknowns.expand_deviation(made.unknowns.from_active(true))
+    assert np.nanmax(expected) > 0.3 > 0.05 > np.nanmin(expected)
+    assert np.nanmax(np.abs(np.log(foretold / expected))) < 0.6
+
+
+def test_cross_coefficients_that_start_at_zero_have_shares() -> None:
+    """Sizes that are stated make a fit start at guesses, where cross coefficients are zero; supports are off."""
+    made = replace(measured((SHAFT, CASING), NoiseModel(5e-8, 0.01)), parameters=())
+    found = combine(made, default_setup(made.guess, constant=True))
+    assert found is not None
+    assert 0 < found.strongest.deviation < found.weakest.deviation < np.inf
 
 
 def test_the_verdict_names_what_is_determined_of_supports() -> None:
