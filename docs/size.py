@@ -35,7 +35,7 @@ STATEMENTS = {
     "balance": 673,
     "trust": 704,
     "export": 161,
-    "methods": 552,
+    "methods": 551,
     "comparison": 116,
     "tuning": 487,
     "reporting": 2515,

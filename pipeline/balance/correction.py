@@ -169,8 +169,7 @@ def _list_choices(holes: Holes, most_choices: int = 3_000_000, same: float = 1e-
         chosen = np.concatenate([chosen, np.pad(np.tile(sizes, (len(places), 1)), blank)])
     made = (holes.unit[at] * chosen).sum(axis=1)
     order = np.lexsort((chosen.sum(axis=1), (at >= 0).sum(axis=1)))
-    grid = np.round(_as_points(made[order]) / (same * np.abs(made).max()))
-    _, first = np.unique(grid, axis=0, return_index=True)
+    _, first = np.unique(np.round(_as_points(made[order]) / (same * np.abs(made).max())), axis=0, return_index=True)
     kept = order[np.sort(first)]
     return _Choices(made[kept], at[kept], chosen[kept])
 

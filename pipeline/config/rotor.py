@@ -7,7 +7,19 @@ from typing import Annotated
 
 from pydantic import Field, PositiveInt
 
-from pipeline.config.quantities import Bore, Damping, Density, Frequency, Inertia, Length, Mass, Pressure, Stiffness
+from pipeline.config.quantities import (
+    AnyDamping,
+    AnyStiffness,
+    Bore,
+    Damping,
+    Density,
+    Frequency,
+    Inertia,
+    Length,
+    Mass,
+    Pressure,
+    Stiffness,
+)
 from pipeline.config.section import NonNegativeInt, Once, Section, ascending, rule
 
 
@@ -71,14 +83,18 @@ class SupportConfig(Section):
     kyy: Stiffness
     cxx: Damping
     cyy: Damping
+    kxy: AnyStiffness = 0.0
+    kyx: AnyStiffness = 0.0
+    cxy: AnyDamping = 0.0
+    cyx: AnyDamping = 0.0
 
     @property
-    def matrices(self) -> dict[str, tuple[float, float]]:
-        """x and y of what RotorModel has matrices of."""
+    def matrices(self) -> dict[str, list[list[float]]]:
+        """Of x and y, by the names of RotorModel's."""
         return {
-            "mass": (self.mxx, self.myy),
-            "damping": (self.cxx, self.cyy),
-            "stiffness": (self.kxx, self.kyy),
+            "mass": [[self.mxx, 0.0], [0.0, self.myy]],
+            "damping": [[self.cxx, self.cxy], [self.cyx, self.cyy]],
+            "stiffness": [[self.kxx, self.kxy], [self.kyx, self.kyy]],
         }
 
 

@@ -27,8 +27,7 @@ CoefficientErrors = dict[str, dict[str, dict[str, float]]]
 def measure_relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
     """(B, S) |identified - modelled| / |modelled| in percent; NaN where the modelled value is zero."""
     value, true = identified.coefficient(name), modelled.coefficient(name)
-    size = np.where(true == 0.0, np.nan, np.abs(true))
-    return 100.0 * np.abs(value - true) / size
+    return 100.0 * np.abs(value - true) / np.where(true == 0.0, np.nan, np.abs(true))
 
 
 def measure_errors(

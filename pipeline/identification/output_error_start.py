@@ -254,8 +254,7 @@ def _filter(training: Measurement, least_settled: float = 0.5) -> np.ndarray | N
     if settled.mean() < least_settled:
         return None
     order = np.flatnonzero(settled)
-    nearest = order[np.abs(np.arange(len(settled))[:, None] - order).argmin(axis=1)]
-    return values[:, nearest]
+    return values[:, order[np.abs(np.arange(len(settled))[:, None] - order).argmin(axis=1)]]
 
 
 def _plane_scale(measurement: Measurement) -> float:

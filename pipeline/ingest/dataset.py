@@ -103,8 +103,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     )
     dataset = recorded
     if conditions:
-        names = [run.name for run in config.runs]
-        dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
+        dataset, merged = to_points(recorded, [run.name for run in config.runs], conditions, config.same_conditions)
         notes += merged
     notes += [
         f"the probes at node {node} contradict each other by {write_rough(100 * misfit)} % of what they measure: check "

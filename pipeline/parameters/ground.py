@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.quantities import Damping, Stiffness
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
 from pipeline.parameters.kind import Kind, Machine, Place
 from pipeline.parameters.weights import size_excitations
@@ -34,6 +35,13 @@ def _find_supports(machine: Machine, matrix: str) -> list[Place]:
     return [Place(label, *at, float(n)) for label, at, n in zip(labels, ground, held, strict=False)]
 
 
+def _find_crosses(machine: Machine) -> list[Place]:
+    """Of a support, in proportion, beyond what is stated; modes of a base have none."""
+    rotor = machine.rotor
+    alone = enumerate(() if rotor.participation.size else rotor.casings, rotor.n_nodes)
+    return [Place(f"node {node} {axes}", casing, axes) for casing, node in alone for axes in ("xy", "yx")]
+
+
 def _find_participations(machine: Machine) -> list[Place]:
     participation = machine.rotor.participation
     return [
@@ -44,8 +52,9 @@ def _find_participations(machine: Machine) -> list[Place]:
 
 
 def _hold(parameter: ModelParameter, rotor: RotorModel, matrix: str) -> Mapping[str, np.ndarray]:
-    held, at = np.zeros_like(rotor.mass), translation_dof(parameter.place, "xy".index(parameter.detail))
-    held[at, at] = parameter.deviation * parameter.stated
+    held, axes = np.zeros_like(rotor.mass), (2 * parameter.detail)[:2]
+    row, column = (translation_dof(parameter.place, "xy".index(axis)) for axis in axes)
+    held[row, column] = parameter.deviation * (parameter.stated if parameter.growth else 1.0)
     return {matrix: held}
 
 
@@ -92,6 +101,7 @@ def softening(
 
 _NO_SUPPORT = "no support (machine.rotor.supports) and no base (machine.rotor.base)"
 _NO_BASE = "no base (machine.rotor.base)"
+_NO_CROSS = "no support (machine.rotor.supports); modes of a base have no cross terms"
 KINDS = (
     Kind(
         name="support_stiffness",
@@ -128,6 +138,28 @@ KINDS = (
         logarithmic=True,
         local="m",
         rotor=lambda parameter, rotor: _hold(parameter, rotor, "mass"),
+    ),
+    Kind(
+        name="support_cross_stiffness",
+        prior=Stiffness,
+        meaning="of each support's kxy and kyx, beyond what is stated",
+        places=_find_crosses,
+        missing=_NO_CROSS,
+        unit="N/m",
+        mirrored=True,
+        local="k",
+        rotor=lambda parameter, rotor: _hold(parameter, rotor, "stiffness"),
+    ),
+    Kind(
+        name="support_cross_damping",
+        prior=Damping,
+        meaning="of each support's cxy and cyx, beyond what is stated",
+        places=_find_crosses,
+        missing=_NO_CROSS,
+        unit="N s/m",
+        mirrored=True,
+        local="c",
+        rotor=lambda parameter, rotor: _hold(parameter, rotor, "damping"),
     ),
     Kind(
         name="base_participation",

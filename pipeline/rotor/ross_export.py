@@ -45,6 +45,7 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
     masses = [one for one in base.point_mass_elements if one.n <= last]
     links = {support.node: last + 1 + i for i, support in enumerate(config.supports)}
     shifts = {(parameter.kind, parameter.place, parameter.detail): parameter.slope for parameter in parameters}
+    crossed = {(parameter.kind, parameter.place, parameter.detail): parameter.shift for parameter in parameters}
     seals = [element for element in base.bearing_elements if isinstance(element, rs.SealElement)]
     standing = [*make_bearings(bearings, links), *seals]
     for support in config.supports:
@@ -53,6 +54,11 @@ def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bear
             f"{letter}{axis}{axis}": getattr(support, f"{letter}{axis}{axis}") * shifts.get((kind, casing, axis), 1.0)
             for kind, letter in (("support_stiffness", "k"), ("support_damping", "c"), ("support_mass", "m"))
             for axis in "xy"
+        }
+        held |= {
+            letter + axes: getattr(support, letter + axes) + crossed.get((kind, casing, axes), 0.0)
+            for kind, letter in (("support_cross_stiffness", "k"), ("support_cross_damping", "c"))
+            for axes in ("xy", "yx")
         }
         size = held.pop("mxx")  # along the shaft, too: held by nothing, a mass of zero has no response there
         masses.append(rs.PointMass(casing, mx=size, my=held.pop("myy"), mz=size, tag=f"casing {support.node}"))

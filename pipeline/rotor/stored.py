@@ -97,6 +97,8 @@ def _put_on_ground(rotor: RotorModel, config: RotorConfig) -> RotorModel:
     Machines). Raises ConfigError for a support or a point that is at no bearing, for the second support of a bearing,
     and where bearings have supports of a rotor's file.
     """
+    from scipy.linalg import block_diag
+
     base, free = config.base, [node for node in rotor.bearing_nodes if node not in rotor.supported_nodes]
     nodes = base.points or tuple(support.node for support in config.supports)
     if not set(nodes) <= set(free) or (config.supports and len(set(nodes)) < len(nodes)):
@@ -105,21 +107,22 @@ def _put_on_ground(rotor: RotorModel, config: RotorConfig) -> RotorModel:
             f"machine.rotor.{key} must have bearing nodes without a support ({', '.join(map(str, free))}),{once} but "
             f"has {', '.join(map(str, nodes))}: leave the others out, here or in the rotor file"
         )
-    held = [{name: support.matrices[name][d] for name in _UPRIGHT} for support in config.supports for d in (0, 1)]
+    held = [support.matrices for support in config.supports]
     for mode in base.modes:
         w = 2 * np.pi * mode.frequency
-        held.append({"mass": 1.0, "damping": 2 * mode.damping_ratio * w, "stiffness": w**2})
-    rest = DOF_PER_NODE * -(-len(held) // TRANSLATIONS)
+        held.append({"mass": [[1.0]], "damping": [[2 * mode.damping_ratio * w]], "stiffness": [[w**2]]})
+    count = sum(len(each["mass"]) for each in held)
+    rest = DOF_PER_NODE * -(-count // TRANSLATIONS)
     wide: dict[str, Any] = {name: np.pad(getattr(rotor, name), (0, rest)) for name in _ARRAYS if name != "positions"}
     ground = np.arange(rotor.n_dof, rotor.n_dof + rest)
-    at = ground[ground % DOF_PER_NODE < TRANSLATIONS][: len(held)]
+    at = ground[ground % DOF_PER_NODE < TRANSLATIONS][:count]
     for name, size in _UPRIGHT.items():
         wide[name][ground, ground] = size
-        wide[name][at, at] = [sizes[name] for sizes in held]
+        wide[name][np.ix_(at, at)] = block_diag(*(each[name] for each in held))
     shapes = rotor.participation
     if base.points:
         shapes = np.zeros((len(nodes), TRANSLATIONS, rest * TRANSLATIONS // DOF_PER_NODE))
-        shapes[..., : len(held)] = np.stack([mode.participation for mode in base.modes], axis=-1)
+        shapes[..., :count] = np.stack([mode.participation for mode in base.modes], axis=-1)
     return replace(rotor, **wide, casings=nodes, participation=shapes)
 
 

@@ -94,8 +94,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         about = (points, identified)
         vibration["identified"] = add_deviation(vibration["identified"], *about, unseen, answer.uncertainty)
         deviations = deviate_modes(modes, *about, answer.uncertainty)
-    shown = read_modes(stated.dataset, stated.deviation, modes)
-    behaviour["identified"] = Behaviour(modes, deviations, shown)
+    behaviour["identified"] = Behaviour(modes, deviations, read_modes(stated.dataset, stated.deviation, modes))
     return Twin(systems, vibration, behaviour, at, operating)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -45,19 +46,24 @@ SUPPORTS = {
     1: {"kxx": 2e7, "kyy": 3e7, "cxx": 9e3, "cyy": 1.5e4, "mxx": 20.0, "myy": 24.0},
     6: {"kxx": 1e7, "kyy": 4e7, "cxx": 7e3, "cyy": 1.6e4, "mxx": 18.0, "myy": 25.0},
 }
+CROSSED = {"kxy": 3e6, "kyx": -4e6, "cxy": 1e3, "cyx": -2e3}
 OFF = {"kxx": 0.5, "kyy": 1.8, "cxx": 2.0, "cyy": 0.7, "mxx": 1.5, "myy": 0.6}
 """What is stated of a support, over what it has."""
 WEIGHTS = (Excitation("a", "unbalance", 3, 5e-4, 0.3), Excitation("b", "unbalance", 8, 5e-4, 1.3))
 KINDS = {"support_stiffness": "k", "support_damping": "c", "support_mass": "m"}
 
 
-def config(nodes: tuple[int, ...] = NODES, off: bool = False) -> RotorConfig:
-    """A shaft with a disc between its bearings and an overhung one; ``off``: supports as they are stated."""
+def config(
+    nodes: tuple[int, ...] = NODES, off: bool = False, crossed: Mapping[str, float] | None = None
+) -> RotorConfig:
+    """A shaft with a disc between its bearings and an overhung one; ``off``: supports as they are stated. ``crossed``
+    are their cross terms.
+    """
     given = [{key: number * (OFF[key] if off else 1.0) for key, number in SUPPORTS[node].items()} for node in nodes]
     return RotorConfig.model_validate(
         {
             **GROUNDED,
-            "supports": [{"node": node, **support} for node, support in zip(nodes, given, strict=True)],
+            "supports": [{"node": node, **at, **(crossed or {})} for node, at in zip(nodes, given, strict=True)],
         }
     )
 
@@ -104,8 +110,8 @@ def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("nodes", [NODES, (6,)])
 def test_the_response_is_that_of_links_in_ross(nodes: tuple[int, ...]) -> None:
     """Supports as masses on links at nodes of their own; with shaft and casings, one bearing or both on soft ground."""
-    rotor, w = load_rotor(config(nodes)), SPEEDS[7]
-    exported = export_rotor(config(nodes), (), films())
+    rotor, w = load_rotor(config(nodes, crossed=CROSSED)), SPEEDS[7]
+    exported = export_rotor(config(nodes, crossed=CROSSED), (), films())
     places = [6 * n for n in range(9)] + [54 + 3 * i for i in range(len(nodes))]  # a link has x, y and z
     lateral = [p + d for p in places for d in ((0, 1, 3, 4) if p < 54 else (0, 1))]
     at = np.ix_(lateral, lateral)
@@ -167,6 +173,23 @@ def test_casing_probes_tell_bearings_and_supports(
     assert np.abs(off[:, which]).max() < film
     assert np.abs(supports).max() < support
     assert (np.abs(supports) < 3.5 * deviation).all()
+
+
+@pytest.mark.slow
+def test_cross_terms_of_supports_come_back_from_exact_readings() -> None:
+    """With all coefficients and all numbers of the supports, of which no cross term was stated, to 1e-6 %."""
+    data, made = readings(load_rotor(config(crossed=CROSSED)), (SHAFT, CASING)), measured()
+    kinds = dict.fromkeys(KINDS, 1.0) | {"support_cross_stiffness": 1e7, "support_cross_damping": 1e4}
+    parameters = model_parameters(kinds, made.rotor, data, made.known, made.unknowns)
+    exact = replace(made, dataset=data, parameters=parameters)
+    answer = fit(exact, default_setup(Guess(1e7, 1e4), constant=True))
+    assert answer.uncertainty is not None
+    shifts = {p.name: p.deviation * v for p, v in zip(parameters, answer.uncertainty.parameters, strict=True)}
+    for letter, kind in (("k", "support_cross_stiffness"), ("c", "support_cross_damping")):
+        for node, axes in ((1, "xy"), (1, "yx"), (6, "xy"), (6, "yx")):
+            assert shifts[f"{kind} node {node} {axes}"] == pytest.approx(CROSSED[letter + axes], rel=1e-8)
+    films_off = answer.table(films()).values[:, 0] / np.array([*FILMS.values()]) - 1
+    assert np.abs(films_off).max() < 1e-8
 
 
 @pytest.mark.slow
