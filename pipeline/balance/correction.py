@@ -227,8 +227,7 @@ def _choose_holes(
     best, least = [], math.inf
     for holes in product(*(range(len(plane.angles)) for plane in planes)):
         units = np.array([plane.unit[h] for h, plane in zip(holes, planes, strict=True)])
-        matrix = _as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1)
-        masses, left = nnls(matrix, right)
+        masses, left = nnls(_as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1), right)
         if left < least:
             best, least = list(zip(holes, masses.tolist(), strict=True)), left
     return [(Weight(hole + 1, mass),) if mass > 0 else () for hole, mass in best]

@@ -332,6 +332,17 @@ class MeasuredConfig(AnyRecordingsConfig):
                     f"{'velocities' if order == 1 else 'accelerations'}, but it has no 'mounted': give mounted: casing "
                     "(beside a bearing) or mounted: shaft (a shaft rider, a laser)"
                 )
+            if order and probe.measures == "shaft relative to casing":
+                yield (
+                    f"probe '{name}' must measure displacements where it measures the shaft relative to casing, but "
+                    f"{'velocities' if order == 1 else 'accelerations'} are absolute: give measures: casing (with "
+                    "mounted: casing) or measures: shaft (with mounted: shaft)"
+                )
+            elif probe.measures == "casing" and probe.mounted == "shaft":
+                yield (
+                    f"probe '{name}' must move with the casing where it measures the casing, but has mounted: shaft: "
+                    "give mounted: casing, or measures: shaft"
+                )
             if not order and probe.mounted == "casing":
                 yield (
                     f"probe '{name}' must measure velocities or accelerations where it has mounted: casing, but its "

@@ -140,8 +140,7 @@ def write_exports(
         name = f"node_{node}{exported.suffix}"
         for template in sorted(_TEMPLATES.iterdir()):
             if template.stem in formats:
-                text = write_for(template.name, exported, b)
-                write_text(folder / f"{template.stem}_{name}{template.suffix}", text)
+                write_text(folder / f"{template.stem}_{name}{template.suffix}", write_for(template.name, exported, b))
     if "ross" in formats:
         notes.append(_write_ross(folder, config, updated, states))
     return notes

@@ -252,7 +252,6 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
     for track in run.tracks.values():
         reading = read_peak(track.speeds, np.abs(track.vectors))
         if reading:
-            rates = np.gradient(track.speeds, run.times)
-            rate = float(np.interp(reading.frequency, track.speeds, rates))
+            rate = float(np.interp(reading.frequency, track.speeds, np.gradient(track.speeds, run.times)))
             biases.append(measure_bias(*find_mode(reading, rate), rate, most))
     return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)

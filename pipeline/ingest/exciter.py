@@ -30,7 +30,7 @@ from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section, ascending, rule
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
-from pipeline.ingest.plausibility import note_clipping, note_ringing
+from pipeline.ingest.plausibility import note_clipping, note_ringing, note_sweep
 from pipeline.ingest.waveform import SignalRunConfig, StoredSignalsConfig, WaveformProbeConfig
 from pipeline.write_numbers import write_number
 
@@ -134,8 +134,9 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
             force, motions = self.reference.size * channels[self.reference.channel].astype(float), [*shown.values()]
             made = [measure_spectra(time, force, np.stack(motions), length, said.window, where) for length in lengths]
             notes += [*read, *note_clipping(where, shown)]
-            if said.window == "boxcar":
-                notes += note_ringing(where, force, shown, 2 * len(made[0][0]) - 2)
+            samples = 2 * len(made[0][0]) - 2
+            lasting = said.window == "hann"
+            notes += note_sweep(where, force, samples) if lasting else note_ringing(where, force, shown, samples)
             sums = [before + n * spectra for before, (_, spectra, n) in zip(sums, made, strict=True)]
             frequencies, segments = made[0][0], segments + made[0][2]
         n = segments / (1 + 2 * tie * (segments - 1) / segments * (said.window == "hann"))
@@ -227,5 +228,4 @@ def average(
     near = np.clip(lines[:, None] + np.arange(-beside, beside + 1), 1, len(force) - 1)
     coherence = explained[:, lines] / np.maximum(motion[:, lines], np.finfo(float).tiny)
     response = crossed[:, lines] / force[lines] / (np.sqrt(coherence) if estimator == "Hv" else 1.0)
-    noise = np.sqrt(rest[:, near].mean(axis=-1) / force[lines] / (n - 1))
-    return response.T, noise.T, coherence.T
+    return response.T, np.sqrt(rest[:, near].mean(axis=-1) / force[lines] / (n - 1)).T, coherence.T

@@ -172,6 +172,25 @@ def note_ringing(
     ]
 
 
+def note_sweep(where: str, force: np.ndarray, samples: int, few: float = 0.25, fewest: int = 8) -> list[str]:
+    """A sentence for a ``force`` of which each line is in ``few`` of its segments of so many ``samples``, by power.
+
+    Of n segments with powers p, ``(sum p)^2 / sum p^2`` count: half of them where a force is random and lasts, all of
+    equal sweeps, one or two of a single sweep. Fewer than ``fewest`` don't tell.
+    """
+    segments = force[: len(force) // samples * samples].reshape(-1, samples)
+    power = np.abs(np.fft.rfft(segments * np.hanning(samples), axis=1)) ** 2
+    total = power.sum(axis=0)
+    counted = (total**2 / np.maximum((power**2).sum(axis=0), np.finfo(float).tiny))[total >= 0.01 * total.max()]
+    if len(segments) < fewest or np.median(counted) > few * len(segments):
+        return []
+    return [
+        f"{where}: a frequency of the force is in {write_rough(np.median(counted))} of {len(segments)} segments, as of "
+        "a single sweep, whose responses leak under Hann's window: they and their noise may be up to 25 % off; take "
+        "averaging.window: boxcar with a segment for each of several equal sweeps, or a random force"
+    ]
+
+
 def note_casing(probes: Mapping[str, MeasuredProbeConfig], nodes: Sequence[int], n_nodes: int) -> list[str]:
     """A sentence for the probes on a casing that is none of the model's, which follow the shaft's ``n_nodes``.
 

@@ -105,6 +105,14 @@ def test_a_noisy_force_makes_h1_too_small(folder: Path) -> None:
     assert 1 - second == pytest.approx((1 - first) / 2, rel=0.1)
 
 
+def test_a_single_sweep_under_hanns_window_is_told(folder: Path) -> None:
+    """And no random force that lasts."""
+    time = np.arange(int(40 * RATE)) / RATE
+    (note,) = read(folder, [np.sin(np.pi * 2.5 * time**2)])[1].notes
+    assert "as of a single sweep" in note
+    assert read(folder, [push(40)])[1].notes == ()
+
+
 def test_an_impact_that_does_not_ring_down_in_a_segment_is_told(folder: Path) -> None:
     """One mass decays by exp(-c t / 2 m), which is 22 % half a second after the blow and 0.3 % after two."""
     boxcar, time = {"window": "boxcar"}, np.arange(int(2 * RATE)) / RATE

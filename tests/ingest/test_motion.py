@@ -186,6 +186,20 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"conventions": said("velocity", "mm/s")},
         "probe 'A' must say what it moves with where it measures velocities, but it has no 'mounted': give",
     ),
+    "accelerations of the shaft relative to its casing": (
+        {
+            "conventions": said("acceleration", "g"),
+            "probes": probes_config(measures=lambda name: "shaft relative to casing", **ON, **PAIR),
+        },
+        "probe 'A' must measure displacements where it measures the shaft relative to casing, but accelerations are",
+    ),
+    "a casing by what moves with the shaft": (
+        {
+            "conventions": said("velocity", "mm/s"),
+            "probes": probes_config(measures=lambda name: "casing", mounted=lambda name: "shaft", **PAIR),
+        },
+        "probe 'A' must move with the casing where it measures the casing, but has mounted: shaft",
+    ),
     "displacements of a casing": (
         {"probes": probes_config(**ON, **PAIR)},
         "probe 'A' must measure velocities or accelerations where it has mounted: casing",
