@@ -91,7 +91,7 @@ def stand_on_ground(
     coefficients: np.ndarray,
     speeds: np.ndarray,
     generator: np.random.Generator,
-    stiffer: tuple[float, float] = (10.0, 1.2),
+    stiffer: tuple[float, float] = (6.0, 1.5),
     above: tuple[float, float] = (3.0, 0.7),
 ) -> np.ndarray:
     """(n, K, 8) drawn bearings as the shaft feels them on pedestals ``h = k - w^2 m``: ``(Z^-1 + 1/h)^-1``.
