@@ -65,8 +65,9 @@ def run(analysis: Analysis) -> StageRecord:
         "sheet": None,
     }
     if weights := config.machine.balance:
-        readings = by_method[method].readings
-        summary["sheet"] = correct(config, weights, models[method], method, readings, measurement.rotor)
+        summary["sheet"] = correct(
+            config, weights, models[method], method, by_method[method].readings, measurement.rotor
+        )
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [

@@ -243,5 +243,6 @@ def describe_conventions(content: ReportContent) -> Table:
         ],
     ]
     said = content.files.get("ingest", {}).get("conventions")
-    read = [["Recordings", f"Read as {said}."]] * bool(said)
-    return Table("How the numbers are meant", ["subject", "meaning"], rows + read)
+    return Table(
+        "How the numbers are meant", ["subject", "meaning"], rows + [["Recordings", f"Read as {said}."]] * bool(said)
+    )
