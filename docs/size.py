@@ -38,22 +38,22 @@ STATEMENTS = {
     "methods": 551,
     "comparison": 116,
     "tuning": 487,
-    "reporting": 2511,
-    "tracking": 351,
-    "stages": 1107,
+    "reporting": 2516,
+    "tracking": 350,
+    "stages": 1105,
     "beside the rooms": 574,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18817, 14500),
+    "statements of pipeline/": (18819, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13529, 13000),
+    "statements of tests/": (13542, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (765, 380),
     "their files": (111, 75),

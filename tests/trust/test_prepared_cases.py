@@ -50,3 +50,24 @@ def test_a_case(name: str, good: bool, tmp_path: Path, monkeypatch: pytest.Monke
     assert counted["good"] == (8 if good else 0)
     if not good:
         assert "lag for lead" in result["machine"]["reason"]
+
+
+@pytest.mark.slow
+def test_a_mode_of_pedestals_is_named_where_no_constant_follows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pedestals alone resonate at ``sqrt(k / m)``, 47.7 Hz: two digits of it are told, whatever bearings are fitted."""
+    monkeypatch.chdir(ROOT)
+    built = "+machine.as_built={pedestal_stiffness: 3e8 N/m, pedestal_mass: 3333 kg}"
+    case = {"machine": "two_discs_direct", "overrides": ["model=constant", built, "force=true"]}
+    module = judge_module()
+    assert "a mode at 48 Hz in all probes" in module.judge(*module.prepare(case, MACHINES))["machine"]["reason"]
+
+
+@pytest.mark.slow
+def test_a_coefficient_that_vanishes_at_most_speeds_spoils_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its local functions are told rounding alone, of either sign: the covariance of all was no number."""
+    monkeypatch.chdir(ROOT)
+    module = judge_module()
+    counted = module.count({"": module.judge(*module.prepare(CASES["good data, compressor"], MACHINES))})
+    assert counted["coefficients"] == 16
+    assert counted["good"] > 8
+    assert counted["good_outside"] == 0
