@@ -96,7 +96,7 @@ def add_features(
         kept = find_distinct(losses)
         weights, before = tried[kept], order
         ends = [losses[i + len(rough)] for i in led]
-        led = [max(k for k, i in enumerate(kept) if losses[i] <= max(end, min(losses))) for end in ends]
+        led = [max((k for k, i in enumerate(kept) if losses[i] <= end), default=0) for end in ends]
         criterion = min(losses) ** 2 * limited.readings.size + AKAIKE * limited.n_fitted
         if criterion < best[0] - TIE:  # a tie stays with fewer
             alike = count_alike([min(losses), *ends, *losses[: len(rough)]]) - 1
