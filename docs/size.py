@@ -22,7 +22,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 
 STATEMENTS = {
     "config": 1739,
-    "laws": 493,
+    "laws": 482,
     "rotor": 757,
     "data": 1066,
     "parameters": 458,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18819, 14500),
+    "statements of pipeline/": (18808, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),
-    "statements of tests/": (13542, 13000),
+    "statements of tests/": (13532, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (765, 380),
     "their files": (111, 75),

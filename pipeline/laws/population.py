@@ -87,31 +87,6 @@ def draw_bearings(
     return (turn @ matrices @ turn.swapaxes(-1, -2)).reshape(count, len(speeds), 8)
 
 
-def stand_on_ground(
-    coefficients: np.ndarray,
-    speeds: np.ndarray,
-    generator: np.random.Generator,
-    stiffer: tuple[float, float] = (6.0, 1.5),
-    above: tuple[float, float] = (3.0, 0.7),
-) -> np.ndarray:
-    """(n, K, 8) drawn bearings as the shaft feels them on pedestals ``h = k - w^2 m``: ``(Z^-1 + 1/h)^-1``.
-
-    No pedestal is rigid. Medians and deviations of logarithms: how many times ``stiffer`` it is than its bearing, the
-    largest of |Zxx| and |Zyy| over the speed, and how far ``above`` the highest speed it resonates by itself.
-    """
-    count, n_speeds = coefficients.shape[:2]
-    matrices = coefficients.reshape(count, n_speeds, 2, 2, 2)
-    film = matrices[:, :, 0] + 1j * speeds[:, None, None] * matrices[:, :, 1]
-    size = np.abs(np.diagonal(film, axis1=2, axis2=3)).max(axis=(1, 2))
-    ratio, resonance = (
-        median * np.exp(deviation * generator.standard_normal(count)) for median, deviation in (stiffer, above)
-    )
-    ground = (size * ratio)[:, None] * (1 - (speeds / speeds[-1] / np.maximum(resonance, 1.2)[:, None]) ** 2)
-    pedestal = ground[..., None, None] * np.eye(2)
-    felt = pedestal @ np.linalg.solve(pedestal + film, film)
-    return np.stack([felt.real, felt.imag / speeds[:, None, None]], axis=2).reshape(coefficients.shape)
-
-
 def make_priors(
     families: Sequence[str], speeds: np.ndarray, load: float, diameter: float, seed: int = 0, rough: float = 0.1
 ) -> tuple[FamilyPrior, ...]:
@@ -127,8 +102,7 @@ def make_priors(
     priors: dict[str, FamilyPrior] = {}
     for family, (size, angle, stiffness, damping) in LACKS.items():
         generator = np.random.default_rng([seed, list(LACKS).index(family)])
-        pure = draw_bearings(family, speeds, load, diameter, generator)
-        drawn = to_coordinates(stand_on_ground(pure, speeds, generator), speeds)
+        drawn = to_coordinates(draw_bearings(family, speeds, load, diameter, generator), speeds)
         sane = np.isfinite(drawn).all(axis=(1, 2)) & (drawn[..., 0].max(axis=1) < 40)
         columns = drawn[sane].swapaxes(1, 2).reshape(sane.sum(), -1)
         lacks = np.diag([size, angle, size, angle, stiffness, stiffness, damping, damping]) ** 2
