@@ -38,15 +38,15 @@ STATEMENTS = {
     "methods": 551,
     "comparison": 116,
     "tuning": 487,
-    "reporting": 2516,
+    "reporting": 2511,
     "tracking": 350,
-    "stages": 1105,
+    "stages": 1107,
     "beside the rooms": 574,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18808, 14500),
+    "statements of pipeline/": (18805, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),

@@ -198,7 +198,7 @@ def _leave_pictures_out() -> Iterator[None]:
     """Pictures take half of a stage's time, have tests of their own, and the graph draws those of each experiment."""
     pixel = memoryview(bytes(4)).cast("B", (1, 1, 4))
     drawing = Mock(**{"get_figheight.return_value": 1.0, "canvas.buffer_rgba.return_value": pixel})
-    drawing.savefig.side_effect = lambda path, **_: path.write_bytes(b"a picture")
+    drawing.savefig.side_effect = lambda path: path.write_bytes(b"a picture")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pipeline.reporting.matplotlib_figures.draw_panels", lambda *_: drawing)
         yield

@@ -342,9 +342,8 @@ def _draw_panel(
     for c, (case, (colour, marker)) in enumerate(zip(cases, _NOISE_LOOKS, strict=False)):
         label = describe_case(case, key) + (" noise" if key == "noise" else "")
         for full, chosen in ((True, errors[:, c] >= least), (False, errors[:, c] < least)):
-            curves.append(
-                Curve(shown[:, c], np.where(chosen, places, np.nan), label, colour, "none", marker, full=full, size=6)
-            )
+            rows = np.where(chosen, places, np.nan)
+            curves.append(Curve(shown[:, c], rows, label, colour, "none", marker, full=full, size=6))
     texts = ["no answer"] * int(silent.sum())
     curves.append(Curve(np.full(len(texts), 4 * least), places[silent] + 0.2, "", GREY, "none", texts=texts))
     names = [METHODS[method].label for method in methods]

@@ -89,7 +89,8 @@ class FitContent:
     def noise(self) -> np.ndarray:
         """(S, P, R) m, root mean square of each reading's noise."""
         measurement, factors = self.answer.measurement, self.training.get("fit", {}).get("noise_factor") or {}
-        factor = np.array(list(factors.values())) if len(factors) == len(measurement.dataset.channels) else 1.0
+        stated = len(factors) == len(measurement.dataset.channels)
+        factor = np.array(list(factors.values())) if stated else 1.0
         return measurement.deviation_of(measurement.dataset.displacement, measurement.baseline, factor)
 
     @property

@@ -88,7 +88,8 @@ def print_reached(
         f"coefficients; the worst, {worst}, is known to {write_rough(100 * short[worst])} % at best"
     )
     for cure in reversed(rank(cures)):
-        say(f"with {cure} the worst is {write_rough(100 * cures[cure])} %" + " (enough)" * (cures[cure] <= accuracy))
+        enough = " (enough)" if cures[cure] <= accuracy else ""
+        say(f"with {cure} the worst is {write_rough(100 * cures[cure])} %{enough}")
 
 
 # --- for the numbers of bearing laws -----------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -43,7 +42,7 @@ def write_figure(path: Path, figure: Figure, dots_an_inch: int = 160) -> Path:
 
     with rc_context(_STYLE):
         drawing = draw_panels(figure.panels, figure.legend(), figure.columns, dots_an_inch, figure.caption)
-        return write_beside(path, lambda beside: drawing.savefig(beside, pil_kwargs={"compress_level": 3}))
+        return write_beside(path, drawing.savefig)
 
 
 def write_panel(path: Path, panel: Panel) -> Path:
@@ -65,22 +64,21 @@ def draw_image(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, d
 def draw_panels(
     panels: Sequence[Panel], legend: Sequence[Curve], columns: int, dots_an_inch: int, caption: str = ""
 ) -> Any:
-    """Matplotlib's figure of panels in so many ``columns``, until the next is drawn; a single column is as wide as two.
+    """Matplotlib's figure of panels in so many ``columns``; a single column is as wide as two.
 
     Words are measured once: for the ``dots_an_inch`` that they are drawn with.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Drawing
+
     width = PANEL_WIDTH * max(columns, 2)
     each, lines = width / columns, wrap(caption, int(18 * width))
     above, edge = 0.14 * len(lines), 0.06
     rows = [panels[first : first + columns] for first in range(0, len(panels), columns)]
     heights = measure_heights(panels, legend, columns, edge)
     height, top = above + sum(heights), above + heights.pop(0)
-    drawing = _begin_drawing()
-    for artist in (*drawing.texts, *drawing.legends, *(ax for ax in drawing.axes if ax.get_label() != "plain")):
-        artist.remove()
-    for ax in drawing.axes:
-        ax.set_visible(False)
-    drawing.set(size_inches=(width, height), dpi=dots_an_inch)
+    drawing = Drawing(figsize=(width, height), dpi=dots_an_inch)
+    FigureCanvasAgg(drawing)
     for r, row in enumerate(rows):
         bottom = height - top - sum(heights[: r + 1])
         for i, panel in enumerate(row):
@@ -100,27 +98,6 @@ def draw_panels(
             fontsize=7,
         )
     return drawing
-
-
-@cache
-def _begin_drawing() -> Any:
-    """The figure that shows one drawing after the other: making axes and their ticks takes a third of the time."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Drawing
-
-    return FigureCanvasAgg(Drawing()).figure
-
-
-def _take_axes(drawing: Any, box: tuple[float, ...], plain: bool) -> Any:
-    """Blank axes at the ``box``; those of an earlier drawing if only numbers stand at their ticks (``plain``)."""
-    idle = [ax for ax in drawing.axes if plain and not ax.get_visible()]
-    ax = idle[0] if idle else drawing.add_axes(box, label="plain" * plain)
-    for artist in (*ax.lines, *ax.patches, *ax.collections, *ax.texts, *filter(None, [ax.get_legend()])):
-        artist.remove()
-    ax.relim()
-    ax.set(position=box, visible=True, xlabel="", aspect="auto", xscale="linear", yscale="linear")
-    ax.set(xlim=(0, 1), ylim=(0, 1), autoscale_on=True)
-    return ax
 
 
 def measure_heights(panels: Sequence[Panel], legend: Sequence[Curve], columns: int, edge: float = 0.06) -> list[float]:
@@ -195,16 +172,14 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
     drawn = []
     for i, axes in enumerate(panel.axes):
-        ax = _take_axes(
-            drawing,
-            (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i]),
-            not (panel.heat or panel.bare or panel.x_names or axes.y_names),
+        ax = drawing.add_axes(
+            (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i])
         )
         if panel.heat is not None:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
-        title = "\n".join(_wrap_title(panel)) * (i == 0)
-        ax.set_title(title, fontsize=8, loc="left", y=1.0)  # given, it is not looked for
+        if i == 0:
+            ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left", y=1.0)  # given, it is not looked for
         ax.tick_params(labelbottom=i == len(shares) - 1)
         drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)

@@ -127,9 +127,8 @@ def draw_responses(path: Path, probes: Sequence[str], tests: Sequence[FrequencyR
             Axes(below, "coherence", y_range=(0.0, 1.0)),
         ]
         panels.append(Panel(probe, "frequency (Hz)", axes))
-    return write_figure(
-        path, Figure("responses", "Averaged responses to the measured force, with their bands.", panels)
-    )
+    caption = "Averaged responses to the measured force, with their bands."
+    return write_figure(path, Figure("responses", caption, panels))
 
 
 def find_lag(vectors: np.ndarray) -> np.ndarray:
@@ -166,7 +165,8 @@ def draw_orbit_panels(
 
 def _draw_orbit(vector: np.ndarray, look: dict[str, Any], reach: float) -> list[Curve]:
     """The orbit of x and y (2,), its keyphasor dot and an arrow head at a quarter turn; ``reach`` (m) is its scale."""
-    x, y = (vector[:, None] * np.exp(2j * np.pi * np.linspace(0, 0.94, 120))).real
+    turn = np.exp(2j * np.pi * np.linspace(0, 0.94, 120))
+    x, y = ((v * turn).real for v in vector)
     tangent, place = np.array([x[31] - x[29], y[31] - y[29]]), np.array([x[30], y[30]])
     arrow = tangent / (np.linalg.norm(tangent) or 1.0) * 0.07 * reach
     across = np.array([-arrow[1], arrow[0]]) * 0.6

@@ -87,11 +87,8 @@ def _draw_history(trials: Sequence[TrialSummary]) -> Panel:
         bare = chosen & np.isnan(losses)
         curves.append(Curve(numbers, np.where(chosen, losses, np.nan), state, colour, "none", marker, full=True))
         if bare.any():  # a mark on the axis
-            curves.append(
-                Curve(
-                    numbers[bare], np.full(bare.sum(), np.nanmin(losses)), f"{state}, no loss", colour, "none", marker
-                )
-            )
+            least = np.full(bare.sum(), np.nanmin(losses))
+            curves.append(Curve(numbers[bare], least, f"{state}, no loss", colour, "none", marker))
     complete = np.array([trial.state == "complete" for trial in trials]) & np.isfinite(losses)
     steps = np.repeat(numbers[complete], 2)[1:], np.repeat(np.minimum.accumulate(losses[complete]), 2)[:-1]
     curves.append(Curve(*steps, "best so far" if complete.any() else "", GREY))

@@ -235,7 +235,8 @@ def _compare(report: StudyReport) -> str:
             title = f"**{title}, {'chosen' if f.trial else 'which stays'}**"
         losses = f.losses[np.isfinite(f.losses)]
         span = _write_span(f.median, losses, 3) if len(losses) else "diverged"
-        cells = [_write_span(float(np.median(e)), e) for e in (report.errors[f.trial][name] for name in names)]
+        errors = [report.errors[f.trial][name] for name in names]
+        cells = [_write_span(float(np.median(error)), error) for error in errors]
         rows.append([title, span, *cells, f"{f.seconds / len(f.losses):.1f} s"])
     if (series := report.chebyshev) is not None:
         cells = [write_rough(report.chebyshev_errors[name]) for name in names]

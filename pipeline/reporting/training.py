@@ -67,8 +67,9 @@ def draw_robustness(
         return _draw_final_errors(path, rows, over)
     model, nodes = training.problem.model, training.measurement.rotor.bearing_nodes
     steps = np.arange(len(trajectory))
+    scale = model.scale_tensor()[:, 0]
     # (T, G, M, U)
-    paths = np.stack([model.physical(state, model.scale_tensor()[:, 0])[0].detach().numpy() for state in trajectory])
+    paths = np.stack([model.physical(state, scale)[0].detach().numpy() for state in trajectory])
     guesses, members = paths.shape[1:3]
     panels: list[Panel] = []
     for m in range(members):

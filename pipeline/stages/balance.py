@@ -65,9 +65,8 @@ def run(analysis: Analysis) -> StageRecord:
         "sheet": None,
     }
     if weights := config.machine.balance:
-        summary["sheet"] = correct(
-            config, weights, models[method], method, by_method[method].readings, measurement.rotor
-        )
+        readings = by_method[method].readings
+        summary["sheet"] = correct(config, weights, models[method], method, readings, measurement.rotor)
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [

@@ -27,7 +27,8 @@ def run(analysis: Analysis) -> StageRecord:
     config, measurement = analysis.config, prepare(analysis)
     use_threads(config)
     setup = setup_of(config)
-    setups = {kind: setup_model(setup, kind) for kind in (_MODELS if measurement.laws else ("network",))}
+    kinds = list(_MODELS) if measurement.laws else ["network"]
+    setups = {kind: setup_model(setup, kind) for kind in kinds}
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)
     _print(config, judged, chosen)

@@ -47,9 +47,7 @@ def table() -> Any:
 @pytest.mark.slow
 def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path: Path) -> None:
     bearings = table()
-    shown = Coefficients.collect(bearings, None, NAMES, 0.1 * np.abs(bearings.values))
-    first, other, again = (draw_coefficients(tmp_path / "a.png", shown, which).read_bytes() for which in ("", "k", ""))
-    assert first == again != other  # whatever was drawn before
+    draw_coefficients(tmp_path / "a.png", Coefficients.collect(bearings, None, NAMES, 0.1 * np.abs(bearings.values)))
     lines = lines_of(drawn[0])
     assert len(lines) == 5 * len(CELSIUS)
     for line in lines:
@@ -68,9 +66,8 @@ def test_one_letter_has_the_errors_below(drawn: list[Figure], tmp_path: Path) ->
     for line in errors:
         np.testing.assert_allclose(line.y, 100 * (1 - 1 / 1.02))
     draw_coefficients(tmp_path / "c.png", Coefficients.collect(bearings, modelled, [["kxx"], ["kyy"]], None), "c")
-    assert [panel.title for panel in drawn[1].panels] == [
-        f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")
-    ]
+    titles = [panel.title for panel in drawn[1].panels]
+    assert titles == [f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")]
 
 
 @pytest.mark.parametrize("lost", [slice(0, 3), slice(None)])
@@ -85,9 +82,8 @@ def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: sli
 
 
 def test_of_many_states_some_are_drawn_the_first_and_last_among_them() -> None:
-    states = pick_states(
-        np.tile([1.0, 2.0], 20), {"oil_temperature": np.repeat(np.arange(20.0, 60.0, 2.0), 2) + 273.15}
-    )
+    celsius = np.repeat(np.arange(20.0, 60.0, 2.0), 2)
+    states = pick_states(np.tile([1.0, 2.0], 20), {"oil_temperature": celsius + 273.15})
     assert len(states) == 8
     assert states[0][0] == "20 degC"
     assert states[-1][0] == "58 degC"

@@ -97,9 +97,8 @@ def _draw_values(
             _add_reference(draw_bearing(shown, b, letter), content.reference, node, letter)
             for b, node in enumerate(shown.identified.nodes)
         ]
-        said = "markers are identified (dashed where known)" + ", filled markers the reference" * bool(
-            content.reference
-        )
+        filled = ", filled markers the reference" if content.reference else ""
+        said = f"markers are identified (dashed where known){filled}"
     stated = ", bands hold the nominal 95 %" if shown.stated else ""
     true = ", black lines are the modelled truth" if shown.compared else ""
     return Figure(KINDS[letter], f"{KINDS[letter].capitalize()} over the speed: {said}{stated}{true}.", panels)

@@ -243,6 +243,5 @@ def describe_conventions(content: ReportContent) -> Table:
         ],
     ]
     said = content.files.get("ingest", {}).get("conventions")
-    return Table(
-        "How the numbers are meant", ["subject", "meaning"], rows + [["Recordings", f"Read as {said}."]] * bool(said)
-    )
+    read = [["Recordings", f"Read as {said}."]] * bool(said)
+    return Table("How the numbers are meant", ["subject", "meaning"], rows + read)
