@@ -172,7 +172,8 @@ def scale_outputs(outputs: Any, size: Any, positive: Any, base: Any = 0.0) -> tu
         values = size * library.exp(outputs)
         return values, values
     # The exponential sees zeros in place of the others: an overflow there would spoil their gradient.
-    values = library.where(positive, size * library.exp(library.where(positive, outputs, 0.0)), base + size * outputs)
+    growth = library.exp(library.where(positive, outputs, 0.0))
+    values = library.where(positive, size * growth, base + size * outputs)
     return values, library.where(positive, values, size)
 
 

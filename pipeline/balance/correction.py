@@ -169,7 +169,8 @@ def _list_choices(holes: Holes, most_choices: int = 3_000_000, same: float = 1e-
         chosen = np.concatenate([chosen, np.pad(np.tile(sizes, (len(places), 1)), blank)])
     made = (holes.unit[at] * chosen).sum(axis=1)
     order = np.lexsort((chosen.sum(axis=1), (at >= 0).sum(axis=1)))
-    _, first = np.unique(np.round(_as_points(made[order]) / (same * np.abs(made).max())), axis=0, return_index=True)
+    grid = np.round(_as_points(made[order]) / (same * np.abs(made).max()))
+    _, first = np.unique(grid, axis=0, return_index=True)
     kept = order[np.sort(first)]
     return _Choices(made[kept], at[kept], chosen[kept])
 
@@ -227,7 +228,8 @@ def _choose_holes(
     best, least = [], math.inf
     for holes in product(*(range(len(plane.angles)) for plane in planes)):
         units = np.array([plane.unit[h] for h, plane in zip(holes, planes, strict=True)])
-        masses, left = nnls(_as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1), right)
+        matrix = _as_points((triangle * units).T).transpose(1, 2, 0).reshape(len(right), -1)
+        masses, left = nnls(matrix, right)
         if left < least:
             best, least = list(zip(holes, masses.tolist(), strict=True)), left
     return [(Weight(hole + 1, mass),) if mass > 0 else () for hole, mass in best]

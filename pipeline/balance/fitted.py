@@ -115,7 +115,8 @@ def _evidence(scaled: np.ndarray, white: np.ndarray, sizes: tuple[float, float])
     """Logarithm of the marginal likelihood of whitened rests (C, D), without what does not depend on the sizes."""
     covariance = np.eye(len(scaled)) + (scaled * np.repeat(sizes, (1, scaled.shape[1] - 1))) @ scaled.conj().T
     _, logarithm = np.linalg.slogdet(covariance)
-    return -float((white.conj() * np.linalg.solve(covariance, white)).sum().real) - white.shape[1] * float(logarithm)
+    square = float((white.conj() * np.linalg.solve(covariance, white)).sum().real)
+    return -square - white.shape[1] * float(logarithm)
 
 
 def find_contradictions(

@@ -278,7 +278,8 @@ def _likelihood(
     from scipy import special
 
     root = 1 / np.sqrt(inflated)[:, None, :, None]
-    scaled, columns = vectors * root, design / np.sqrt((abs(design) ** 2).mean(0)) * root  # (G, 1, C, .)
+    scale = np.sqrt((abs(design) ** 2).mean(0))
+    scaled, columns = vectors * root, design / scale * root  # (G, 1, C, .)
     (n, q), size = design.shape, vectors.shape[1]
     tail = np.array(tails)[None, :, None]
     weights = np.ones((len(inflated), len(tails), n))

@@ -183,7 +183,8 @@ def predict_records(records: Records, vibration: LinearVibration) -> PredictedRe
     The bands hold the model's own uncertainty, the drift between conditions, and the scatter of a record. Raises
     DataError for a record without weights, and for a speed that is not one of the model's.
     """
-    weights = records.unbalance[:, [records.planes.index(node) for node in vibration.planes]]
+    planes = [records.planes.index(node) for node in vibration.planes]
+    weights = records.unbalance[:, planes]
     without = np.flatnonzero(np.isnan(weights).any(axis=1))
     if len(without):
         raise DataError(

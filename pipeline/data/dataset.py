@@ -153,7 +153,8 @@ class VibrationDataset:
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        return np.stack([np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels])
+        rows = [np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels]
+        return np.stack(rows)
 
     def shares(self, node: int, angle: float) -> np.ndarray:
         """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it

@@ -89,7 +89,8 @@ def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, colum
 def run_excitations(run: RunConfig | MeasuredRunConfig) -> tuple[Excitation, ...]:
     """What acts in a configured run."""
     weights = [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
-    return (*weights, *[Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces])
+    forces = [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
+    return (*weights, *forces)
 
 
 Runs = tuple[tuple[Excitation, ...], ...]

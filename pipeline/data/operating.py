@@ -44,7 +44,8 @@ def split_states(speeds: np.ndarray, operating: Mapping[str, np.ndarray]) -> lis
     if repeated or np.bincount(conditions).min() < 2:
         # How many points of the same speed have lower conditions than this one.
         order = np.lexsort((*values.T[::-1], speeds))
-        first = np.maximum.accumulate(np.where(np.r_[True, np.diff(speeds[order]) > 0], np.arange(len(order)), 0))
+        starts = np.r_[True, np.diff(speeds[order]) > 0]
+        first = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
         conditions[order] = np.arange(len(order)) - first
     states = []
     for i in range(conditions.max() + 1):

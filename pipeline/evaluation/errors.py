@@ -27,7 +27,8 @@ CoefficientErrors = dict[str, dict[str, dict[str, float]]]
 def measure_relative_errors(identified: BearingTable, modelled: BearingTable, name: str) -> np.ndarray:
     """(B, S) |identified - modelled| / |modelled| in percent; NaN where the modelled value is zero."""
     value, true = identified.coefficient(name), modelled.coefficient(name)
-    return 100.0 * np.abs(value - true) / np.where(true == 0.0, np.nan, np.abs(true))
+    size = np.where(true == 0.0, np.nan, np.abs(true))
+    return 100.0 * np.abs(value - true) / size
 
 
 def measure_errors(

@@ -140,7 +140,8 @@ def write_exports(
         name = f"node_{node}{exported.suffix}"
         for template in sorted(_TEMPLATES.iterdir()):
             if template.stem in formats:
-                write_text(folder / f"{template.stem}_{name}{template.suffix}", write_for(template.name, exported, b))
+                text = write_for(template.name, exported, b)
+                write_text(folder / f"{template.stem}_{name}{template.suffix}", text)
     if "ross" in formats:
         notes.append(_write_ross(folder, config, updated, states))
     return notes

@@ -145,7 +145,8 @@ def read_modes(problem: OutputError, tries: int = 4, first_softening: float = 1.
         start = (first + (drawn if i else 0.0))[: len(fitted.kinds)]
         ends.append(least_squares(lambda at: fitted.solve(at)[0], start.ravel(), max_nfev=40))
     order = find_distinct([float(end.cost) for end in ends], most=tries)
-    return torch.cat([fitted.weigh(problem, ends[i].x) for i in order])
+    made = [fitted.weigh(problem, ends[i].x) for i in order]
+    return torch.cat(made)
 
 
 class _PeakFit:

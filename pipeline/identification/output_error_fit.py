@@ -215,7 +215,8 @@ def estimate_by_residuals(problem: OutputError, weights: torch.Tensor) -> np.nda
     used = float(problem.n_fitted)
     if len(problem.functions.aims):  # what the prior says takes nothing of the rest
         used -= float((problem.covariance(weights)[0] * problem.prior.information.numpy()).sum())
-    return np.asarray(np.sqrt(squared / max(1.0 - used / readings.size, 0.05)))
+    rest = max(1.0 - used / readings.size, 0.05)
+    return np.asarray(np.sqrt(squared / rest))
 
 
 def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:

@@ -81,7 +81,8 @@ def prepare_output_error(measurement: Measurement, setup: FitSetup) -> OutputErr
     begin: Callable[..., tuple[OutputError, dict[str, Any]]] = _start_by_coefficients
     begin = _start_by_laws if training.laws else _start_by_population if setup.model.families else begin
     make_basis = nodes_basis if setup.model.families else drawn_basis
-    problem, first = begin(training, setup, make_basis(setup, training, measurement.dataset.points), plane_scale)
+    basis = make_basis(setup, training, measurement.dataset.points)
+    problem, first = begin(training, setup, basis, plane_scale)
     problem = problem.with_baseline(first["weights"][:1])
     measurement = replace(measurement, as_found=problem.measurement.as_found, noise=problem.measurement.noise)
     left_out: dict[str, Measurement] = {}
@@ -171,9 +172,8 @@ def _approach(
     weights = problem.with_features(weights, 1)
     count = 1 + int(np.log(max(float(limited.loss(weights).min()), 1.0)) / np.log(factor))
     for turn in range(count, -1, -1):
-        weights = levenberg_marquardt(
-            limited.scaled(factor**-turn), weights, config, until_still(1e-3), by_diagonal=True
-        )
+        rough = limited.scaled(factor**-turn)
+        weights = levenberg_marquardt(rough, weights, config, until_still(1e-3), by_diagonal=True)
     best = limited.loss(weights)[:, 0].nan_to_num(float("inf")).argsort()
     return limited.with_features(weights[best], problem.features.shape[-1])
 
@@ -198,7 +198,8 @@ def _temper(
         # The noise follows from what is predicted: ends are compared by their likelihood, each at its own noise.
         for _ in range(2):
             solved = problem.update(weights)
-            rough = replace(solved, readings=solved.readings.follow(solved.predicted(weights)), exact=True)
+            readings = solved.readings.follow(solved.predicted(weights))
+            rough = replace(solved, readings=readings, exact=True)
             weights = levenberg_marquardt(rough, weights, limited, until_still(1e-3), by_diagonal=True)
         ends.append((float(rough.rows(weights).square().sum()) + rough.readings.log_determinant(), weights))
     losses = [loss for loss, _ in ends]
@@ -286,7 +287,8 @@ def _start_by_population(
     problem = output_error(training, basis, plane_scale)
     model = basis.model
     nodes = np.geomspace(*model.ranges[0], model.n_functions)
-    searched = search(problem, list_choices(training, setup.model.families, nodes), setup.seed)
+    choices = list_choices(training, setup.model.families, nodes)
+    searched = search(problem, choices, setup.seed)
     first = {"weights": searched.weights[:1], "from_guess": False, "searched": searched}
     return replace(searched.problem, functions=searched.choices.functions()), first
 

@@ -285,8 +285,10 @@ class OutputError(LeastSquares):
         if tie == 0:
             return self._spread(alone, weights)
         # The inverse of a correlation that falls with each step is tridiagonal.
-        diagonal = torch.cat([alone[:, :1], alone[:, 1:-1] * (1 + tie**2), alone[:, -1:]], dim=1) / (1 - tie**2)
-        across = self._spread(-tie / (1 - tie**2) * (parts[:, 1:].mT @ parts[:, :-1]), weights, 1)
+        inner = alone[:, 1:-1] * (1 + tie**2)
+        diagonal = torch.cat([alone[:, :1], inner, alone[:, -1:]], dim=1) / (1 - tie**2)
+        beside = parts[:, 1:].mT @ parts[:, :-1]
+        across = self._spread(-tie / (1 - tie**2) * beside, weights, 1)
         return self._spread(diagonal, weights) + across + across.mT
 
     def _spread(self, local: torch.Tensor, weights: torch.Tensor, after: int = 0) -> torch.Tensor:

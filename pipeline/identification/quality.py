@@ -219,9 +219,10 @@ def _plain_deviations(fit: OutputErrorFit) -> list[np.ndarray]:
     roots = [torch.as_tensor(share).sqrt() for share in readings.shares]
     precision = tuple(every / root for every, root in zip(readings.precision, roots, strict=True))
     records = tuple(every / root for every, root in zip(readings.records, roots, strict=False))
-    whole = replace(fit.problem, readings=replace(readings, precision=precision, records=records))
+    whole = replace(readings, precision=precision, records=records)
     with np.errstate(all="ignore"):  # of a fit that ran away
-        return [np.asarray(off[0].numpy())[..., kept] / np.sqrt(2.0) for off in whole.deviations(fit.weights)]
+        every = replace(fit.problem, readings=whole).deviations(fit.weights)
+        return [np.asarray(deviation[0].numpy())[..., kept] / np.sqrt(2.0) for deviation in every]
 
 
 def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None]:

@@ -62,7 +62,8 @@ def drop_features(
             spread = spread - np.outer(gain, spread[i])
         if criterion < best[0] + TIE:
             best = (min(criterion, best[0]), order, value)
-    chosen = replace(problem, kept=(torch.arange(count) < best[1]).repeat(n_active, 1))
+    kept = (torch.arange(count) < best[1]).repeat(n_active, 1)
+    chosen = replace(problem, kept=kept)
     return chosen, torch.where(chosen.fitted(), torch.as_tensor(best[2]), 0.0)[None, None]
 
 

@@ -125,5 +125,6 @@ class SourceUnits:
     def weights(self, unbalance: np.ndarray) -> np.ndarray:
         """Complex g mm, of ``unbalance`` in kg m: the angle is measured on the shaft as the recordings say."""
         begin = self.recordings.angle_from_x(0.0)
-        turned = np.sign(self.recordings.angle_from_x(1.0) - begin) * (np.angle(unbalance) - begin)
+        sense = np.sign(self.recordings.angle_from_x(1.0) - begin)
+        turned = sense * (np.angle(unbalance) - begin)
         return np.asarray(np.abs(unbalance) / GRAM_MILLIMETRE * np.exp(1j * turned))

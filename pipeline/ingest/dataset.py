@@ -103,7 +103,8 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     )
     dataset = recorded
     if conditions:
-        dataset, merged = to_points(recorded, [run.name for run in config.runs], conditions, config.same_conditions)
+        names = [run.name for run in config.runs]
+        dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
         notes += merged
     notes += [
         f"the probes at node {node} contradict each other by {write_rough(100 * misfit)} % of what they measure: check "
@@ -252,6 +253,7 @@ def measure_sweep(run: RunTracks, most: float) -> SweepBias | None:
     for track in run.tracks.values():
         reading = read_peak(track.speeds, np.abs(track.vectors))
         if reading:
-            rate = float(np.interp(reading.frequency, track.speeds, np.gradient(track.speeds, run.times)))
+            rates = np.gradient(track.speeds, run.times)
+            rate = float(np.interp(reading.frequency, track.speeds, rates))
             biases.append(measure_bias(*find_mode(reading, rate), rate, most))
     return max(biases, key=lambda bias: abs(bias.peak_shift), default=None)

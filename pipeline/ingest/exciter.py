@@ -228,4 +228,5 @@ def average(
     near = np.clip(lines[:, None] + np.arange(-beside, beside + 1), 1, len(force) - 1)
     coherence = explained[:, lines] / np.maximum(motion[:, lines], np.finfo(float).tiny)
     response = crossed[:, lines] / force[lines] / (np.sqrt(coherence) if estimator == "Hv" else 1.0)
-    return response.T, np.sqrt(rest[:, near].mean(axis=-1) / force[lines] / (n - 1)).T, coherence.T
+    noise = np.sqrt(rest[:, near].mean(axis=-1) / force[lines] / (n - 1))
+    return response.T, noise.T, coherence.T

@@ -234,7 +234,8 @@ def _fit_each(
         begin, end = int(first), int(last)
         inverse = _invert(np.asarray(gram), signals.where)
         solution = inverse @ right
-        noise = np.maximum(squares - (solution * right).sum(axis=0), 0.0) / max(end - begin - len(solution), 1)
+        freedom = max(end - begin - len(solution), 1)
+        noise = np.maximum(squares - (solution * right).sum(axis=0), 0.0) / freedom
         yield solution[a] - 1j * solution[b], noise * (inverse[a, a] + inverse[b, b])
 
 

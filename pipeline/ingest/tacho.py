@@ -168,4 +168,5 @@ def _list_knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
     number = np.arange(len(pulses))
     even_in_angle = [np.interp(np.linspace(0, len(pulses) - 1, m + 1), number, pulses) for m in counts]
     longest = (pulses[-1] - pulses[0]) / (2 * period.max())
-    return [*even_in_angle, *[np.linspace(pulses[0], pulses[-1], m + 1) for m in counts if 1 < m <= longest]]
+    even_in_time = [np.linspace(pulses[0], pulses[-1], m + 1) for m in counts if 1 < m <= longest]
+    return [*even_in_angle, *even_in_time]

@@ -76,7 +76,8 @@ def identify_by_kriging(
 def _choose(speeds: np.ndarray, count: int) -> np.ndarray:
     """Indices of about ``count`` speeds from the first to the last, even in their logarithm."""
     place = np.log(speeds)
-    return np.unique(np.abs(place[:, None] - np.linspace(place[0], place[-1], count)).argmin(axis=0))
+    wanted = np.linspace(place[0], place[-1], count)
+    return np.unique(np.abs(place[:, None] - wanted).argmin(axis=0))
 
 
 def _count_points(active: int, each: int = 15) -> int:

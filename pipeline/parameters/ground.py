@@ -36,7 +36,7 @@ def _find_supports(machine: Machine, matrix: str) -> list[Place]:
 
 
 def _find_crosses(machine: Machine) -> list[Place]:
-    """Of a support, in proportion, beyond what is stated; modes of a base have none."""
+    """xy and yx of each support; modes of a base have none."""
     rotor = machine.rotor
     alone = enumerate(() if rotor.participation.size else rotor.casings, rotor.n_nodes)
     return [Place(f"node {node} {axes}", casing, axes) for casing, node in alone for axes in ("xy", "yx")]

@@ -108,7 +108,8 @@ def whiten_plan(plan: Measurement, dataset: VibrationDataset, covariance: np.nda
 def unknown_sizes(plan: Measurement, floor: float = 0.01) -> np.ndarray:
     """(M, S, U) sizes of the unknowns; some cross zero: no less than a share ``floor`` of the largest of their kind."""
     values = np.abs(plan.known.values)
-    least = np.repeat(floor * values.reshape(*values.shape[:2], 2, 4).max(axis=-1), 4, axis=-1)
+    kinds = values.reshape(*values.shape[:2], 2, 4)
+    least = np.repeat(floor * kinds.max(axis=-1), 4, axis=-1)
     leaders = [COEFFICIENTS.index(name) for name in plan.unknowns.names]
     return np.asarray(np.maximum(values, least)[: plan.unknowns.n_members][..., leaders])
 

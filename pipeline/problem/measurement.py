@@ -212,13 +212,9 @@ class Measurement:
         """The same with rotor and weights at the values of the model parameters, as if they were stated so."""
         if not self.parameters:
             return self
+        data = update_excitations(self.dataset, self.parameters)
         return replace(
-            self,
-            rotor=self.updated_rotor,
-            dataset=update_excitations(self.dataset, self.parameters),
-            known=self.updated_known,
-            parameters=(),
-            tolerances=(),
+            self, rotor=self.updated_rotor, dataset=data, known=self.updated_known, parameters=(), tolerances=()
         )
 
     def select(self, speeds: np.ndarray | None = None, runs: np.ndarray | None = None) -> Measurement:
@@ -251,7 +247,8 @@ class Measurement:
         unknowns, data = replace(self.unknowns, planes=()), self.dataset
         turning = next((b.runs for b in self.response.blocks if b.unit_sensors.shape[-1] and len(b.runs) > 1), None)
         if turning is None:
-            return replace(self, unknowns=unknowns, parameters=(), solved=replace(self.response, planes=()))
+            solved = replace(self.response, planes=())
+            return replace(self, unknowns=unknowns, parameters=(), solved=solved)
         every, seen = np.arange(len(data.runs)), data.present[:, turning]
         first = turning[seen.argmax(axis=1)]  # (S,)
         turns = np.isin(every, turning) & (seen.sum(axis=1, keepdims=True) > 1)  # (S, R)

@@ -207,7 +207,8 @@ def print_vibration_change(rows: Sequence[Mapping[str, Any]], unit: str, most: i
     """Amplitudes before and after, of more than ``most`` speeds so many that are evenly spread."""
     read = [row for row in rows if row["before"] is not None]
     speeds = sorted({row["speed_rpm"] for row in read})
-    shown = speeds[:: -max(1, -(-len(speeds) // most))]
+    every = max(1, -(-len(speeds) // most))
+    shown = speeds[::-every]
     table(
         "vibration, zero-to-peak as the recordings have it (+- 95 % of one record)",
         ["probe", "rpm", f"before, {unit}", f"after, {unit}"],

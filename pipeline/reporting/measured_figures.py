@@ -191,7 +191,8 @@ def draw_measured_orbits(path: Path, dataset: VibrationDataset, baseline: str | 
 def pick_speeds(dataset: VibrationDataset) -> list[int]:
     """Up to four indices: first, last, the largest amplitude, and one half way along the longest gap."""
     count = len(dataset.speeds)
-    picked = sorted({0, int(np.abs(dataset.displacement).max(axis=(1, 2)).argmax()), count - 1})
+    peak = int(np.abs(dataset.displacement).max(axis=(1, 2)).argmax())
+    picked = sorted({0, peak, count - 1})
     while len(picked) < min(4, count):
         gaps = np.diff(picked)
         widest = int(gaps.argmax())

@@ -90,7 +90,8 @@ def _draw_history(trials: Sequence[TrialSummary]) -> Panel:
             least = np.full(bare.sum(), np.nanmin(losses))
             curves.append(Curve(numbers[bare], least, f"{state}, no loss", colour, "none", marker))
     complete = np.array([trial.state == "complete" for trial in trials]) & np.isfinite(losses)
-    steps = np.repeat(numbers[complete], 2)[1:], np.repeat(np.minimum.accumulate(losses[complete]), 2)[:-1]
+    best = np.minimum.accumulate(losses[complete])
+    steps = np.repeat(numbers[complete], 2)[1:], np.repeat(best, 2)[:-1]
     curves.append(Curve(*steps, "best so far" if complete.any() else "", GREY))
     return Panel("", "trial (0 is the configured default)", [Axes(curves, HELD_OUT, scale="log")], wide=True)
 

@@ -112,7 +112,8 @@ def describe_data(content: ReportContent, fit: FitContent) -> str:
     """Say what was read: runs, speeds, states and channels."""
     data, baseline = content.dataset, content.config.data.baseline
     rpm, nodes = _list_speeds(fit), dict.fromkeys(node for node, _ in data.channels)
-    at = f" at {_join([label for label, _ in split_states(data.speeds, data.operating)])}" if data.operating else ""
+    states = [label for label, _ in split_states(data.speeds, data.operating)]
+    at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {baseline}" if baseline else ""
     more = f" and {len(data.runs) - _MOST_RUNS} more" if len(data.runs) > _MOST_RUNS else ""
     kind = "modelled" if fit.coefficients.compared else "measured"

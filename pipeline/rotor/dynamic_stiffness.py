@@ -74,7 +74,8 @@ def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
 
 
 def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:
-    stored = np.zeros((len(matrix), 2 * bandwidth + 1))
+    size = len(matrix)
+    stored = np.zeros((size, 2 * bandwidth + 1))
     for offset in range(-bandwidth, bandwidth + 1):
         diagonal = np.diagonal(matrix, offset)
         first = max(offset, 0)

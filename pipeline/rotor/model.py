@@ -56,7 +56,8 @@ def _interpolate(at: np.ndarray, values: np.ndarray, speeds: np.ndarray, spline_
     from scipy.interpolate import UnivariateSpline, interp1d
 
     if len(at) < spline_points:
-        return np.asarray(interp1d(at, values, kind=len(at) - 1, axis=0, fill_value="extrapolate")(speeds))
+        curve = interp1d(at, values, kind=len(at) - 1, axis=0, fill_value="extrapolate")
+        return np.asarray(curve(speeds))
     return np.stack([UnivariateSpline(at, column)(speeds) for column in values.T], axis=1)
 
 

@@ -152,7 +152,8 @@ def _keep(kind: str, key: str, values: Mapping[str, Any]) -> None:
     """Keep the values in double precision."""
     from safetensors.numpy import save
 
-    keep(kind, key, bytes(save({name: np.ascontiguousarray(value, dtype=float) for name, value in values.items()})))
+    arrays = {name: np.ascontiguousarray(value, dtype=float) for name, value in values.items()}
+    keep(kind, key, bytes(save(arrays)))
 
 
 def _look_up(kind: str, key: str, names: set[str]) -> dict[str, np.ndarray] | None:

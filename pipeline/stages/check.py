@@ -87,4 +87,5 @@ def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:
             f"{f'{len(failed)} fail' if failed else named}: leave check.commit out, or run stage=check without "
             "check.experiments when all hold"
         )
-    say(f"committed metrics in '{write_table(THRESHOLDS / COMMITTED, thresholds.tabulate_committed(checks))}'")
+    path = write_table(THRESHOLDS / COMMITTED, thresholds.tabulate_committed(checks))
+    say(f"committed metrics in '{path}'")

@@ -147,7 +147,8 @@ def respond_as_steady(run_up: RunUp, fit: ModalFit) -> np.ndarray:
 def _fit(problem: _Problem, starts: list[np.ndarray], blocks: int = 16) -> ModalFit:
     """The best from the ``starts``; its covariance from leaving each of so many ``blocks`` of rows out."""
     solution = min((problem.solve(start) for start in starts), key=lambda tried: float(tried.cost))
-    best = solution.x.reshape(-1, 2)[np.argsort(solution.x[::2])].reshape(-1)
+    order = np.argsort(solution.x[::2])
+    best = solution.x.reshape(-1, 2)[order].reshape(-1)
     columns, linear = problem.project(best)
     vectors = problem.run_up.vectors
     residual = vectors - columns @ linear

@@ -23,7 +23,7 @@ class Misfit:
     estimated: bool  # the noise was found from the readings
     noise_factor: float  # noise that was found over the stated one, median over the channels; 1 where it is stated
     of_stated: float  # mean square over the stated noise
-    wanders: bool = False  # what is left over depends on the speed as no white noise does
+    wanders: bool  # what is left over depends on the speed as no white noise does
 
     @property
     def distance(self) -> float:

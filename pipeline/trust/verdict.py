@@ -186,7 +186,8 @@ def judge_machine(evidence: Evidence) -> list[Reason]:
         reasons.append(
             Reason(
                 Verdict.WITH_CARE,
-                f"Only one of {starts['fitted']} starts ended at this answer: it may not be the global minimum.",
+                f"{starts['at_this_answer'] or 'None'} of {starts['fitted']} starts ended at this answer: it may not "
+                "be the global minimum.",
                 "Train from other starts (model.initial_stiffness, seed), and see whether the answer stays.",
             )
         )

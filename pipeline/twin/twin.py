@@ -94,7 +94,8 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
         about = (points, identified)
         vibration["identified"] = add_deviation(vibration["identified"], *about, unseen, answer.uncertainty)
         deviations = deviate_modes(modes, *about, answer.uncertainty)
-    behaviour["identified"] = Behaviour(modes, deviations, read_modes(stated.dataset, stated.deviation, modes))
+    shown = read_modes(stated.dataset, stated.deviation, modes)
+    behaviour["identified"] = Behaviour(modes, deviations, shown)
     return Twin(systems, vibration, behaviour, at, operating)
 
 

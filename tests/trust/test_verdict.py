@@ -198,7 +198,7 @@ def test_mirrored_phases_are_told_by_the_orbits() -> None:
 def test_one_start_of_several_is_told() -> None:
     judged = record(gathered(fit=FIT | {"starts": {"fitted": 7, "at_this_answer": 1}}))
     assert judged["machine"]["verdict"] == "with care"
-    assert_says(judged["machine"]["reason"], "Only one of 7 starts ended at this answer", "global minimum")
+    assert_says(judged["machine"]["reason"], "1 of 7 starts ended at this answer", "global minimum")
     assert record(gathered(fit=FIT | {"starts": {"fitted": 7, "at_this_answer": 2}}))["machine"]["verdict"] == "good"
 
 
