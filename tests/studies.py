@@ -146,7 +146,7 @@ def finished(problem: StudyProblem) -> list[Told]:
     return trials
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+def wait_until(condition: Callable[[], Any], seconds: float = 300.0) -> Any:
     """What ``condition`` returns as soon as that is something."""
     ends = time.monotonic() + seconds
     while not (found := condition()):
@@ -192,7 +192,7 @@ def run(order):
     def named(study):
         return {t.user_attrs.get("worker", ":").split(":")[1] for t in study.get_trials(deepcopy=False)} - {""}
     def seen(study):
-        while len(named(study) - {str(os.getpid())}) < order["others"]:
+        while order["others"] and len(named(study) - {str(os.getpid())}) < order["others"]:
             time.sleep(0.05)  # starting the other workers takes longer than a trial
         order["others"] = 0
         for trial in study.get_trials(deepcopy=False) if order["halts"] else ():
@@ -246,7 +246,7 @@ class Runner:
         """Everything that it and its workers printed."""
         return self.out.read_text() if self.out.exists() else ""
 
-    def end(self, seconds: float = 60) -> int:
+    def end(self, seconds: float = 300) -> int:
         """Its exit code."""
 
         def has_ended() -> bool:

@@ -52,11 +52,11 @@ class LinearisedFit:
 
         The variance of that move is what the variance grows by (Hausman 1978). None where the other readings and the
         priors do not determine every weight: a combination of weights, each over what all readings tell of it, is
-        below ``least``, the rounding of a normal matrix.
+        below ``least``, the rounding of a normal matrix; or where no weight is left, of readings that no bearing fits.
         """
         left_out, size = mask[..., None] * self.seen, np.sqrt(np.diag(self.normal))
         information = self.normal - cross(left_out, left_out)
-        if np.linalg.eigvalsh(information / np.outer(size, size))[0] <= least:
+        if not size.size or np.linalg.eigvalsh(information / np.outer(size, size))[0] <= least:
             return None
         right = self.right - cross(left_out, self.residual[..., None])[:, 0]
         weights, covariance = np.linalg.solve(information, right), np.linalg.inv(information)

@@ -79,7 +79,8 @@ def judge(config: Config, measurement: Measurement, truth: BearingTable) -> dict
     assert found.uncertainty is not None
     about = {"fit": found.quality.summary["fit"], "outcome": found.outcome.label}
     verdicts, evidence = assess(config, answer_of(measurement, found.model, found.uncertainty), about)
-    own = found.deviation(measurement.dataset.speeds)
+    truth = truth.at(np.isin(truth.speeds, evidence.answer.speeds))  # of a fit that ran off, only some can be judged
+    own = found.deviation(truth.speeds)
     assert own is not None
     rows = []
     for one in verdicts["verdicts"]:
