@@ -103,7 +103,7 @@ def judge(config: Config, measurement: Measurement, truth: BearingTable) -> dict
 
 def _compare(error: np.ndarray, size: np.ndarray) -> float:
     """Median over the speed of a ratio; very large where an error is compared with nothing."""
-    return float(np.median(error / np.maximum(size, 1e-9 * error + 1e-300)))
+    return float(np.median(error / np.maximum(np.nan_to_num(size, nan=np.inf), 1e-9 * error + 1e-300)))
 
 
 def count(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
