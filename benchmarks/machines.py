@@ -85,13 +85,14 @@ def machine(*overrides: str) -> Machine:
 
     from pipeline.config.compose import compose_config
     from pipeline.problem.configured import configure_excitations
-    from pipeline.rotor.ross_adapter import assemble, bearing_table
+    from pipeline.rotor.ross_adapter import bearing_table
+    from pipeline.rotor.stored import load_rotor
     from pipeline.units import RAD_S_PER_RPM
 
     config = compose_config(overrides)
     speeds = np.array(config.machine.speeds.rpm()) * RAD_S_PER_RPM
     bearings = bearing_table(config.machine.rotor, config.machine.bearings, speeds)
-    return Machine(config, assemble(config.machine.rotor), bearings, configure_excitations(config))
+    return Machine(config, load_rotor(config.machine.rotor), bearings, configure_excitations(config))
 
 
 def refined(experiment: str, factor: int, *overrides: str) -> Machine:

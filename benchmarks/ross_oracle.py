@@ -9,13 +9,15 @@ import numpy as np
 from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.bearings import BearingConfig, _Bearing
-from pipeline.rotor.ross_adapter import assemble, make_rotor, ross
-from pipeline.rotor.ross_export import make_bearings
+from pipeline.rotor.ross_adapter import assemble, bearing_table, make_rotor, ross
+from pipeline.rotor.ross_export import export_rotor, make_bearings
 from pipeline.rotor.weight import GRAVITY
 
 
 def ross_rotor(config: RotorConfig, bearing: BearingConfig, speeds: np.ndarray) -> Any:
     """Of bearings that follow no operating conditions; ``speeds`` (S,) rad/s."""
+    if config.supports:
+        return export_rotor(config, (), bearing_table(config, bearing, speeds))
     rotor = make_rotor(config)
     if bearing.saved:
         return rotor

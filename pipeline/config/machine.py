@@ -78,7 +78,10 @@ def _save_bearings(rotor: RotorConfig) -> RotorFileBearingConfig:
 
 def _record_speeds(recordings: RecordingsConfig) -> SpeedsConfig:
     if not recordings.stated_speeds:
-        raise ValueError("must be given (start_rpm, stop_rpm, step_rpm), but is missing")
+        raise ValueError(
+            "must be given (start_rpm, stop_rpm, step_rpm), but is missing: add it; where recordings keep their own "
+            "speeds, it is for designs and predictions alone"
+        )
     return recordings.stated_speeds
 
 

@@ -238,8 +238,8 @@ def subtract_baseline(dataset: VibrationDataset, baseline: str) -> VibrationData
         raise DataError(
             f"the baseline '{baseline}' must be measured at the speeds and conditions of the other runs, but at "
             f"{len(alone)} points it was not (the first: run '{dataset.runs[alone[0][1]]}', {rpm:g} rpm): say in "
-            "same_conditions by how much conditions may differ, or leave the baseline out and identify the "
-            "residual unbalance (identify.unbalance_planes)"
+            "same_conditions by how much conditions may differ, keep to the speeds that it has, or leave the baseline "
+            "out and identify the residual unbalance (identify.unbalance_planes)"
         )
     if not dataset.complete:
         dataset = dataset.at(np.flatnonzero(np.delete(dataset.present, b, axis=1).any(axis=1)))

@@ -162,12 +162,13 @@ def find_points(
     return points[:, -1], dict(zip(operating, points.T[:-1], strict=True)), at.ravel()
 
 
-def join(values: np.ndarray, within: float) -> np.ndarray:
-    """Values (n,), in their place the means of groups that span no more than ``within``; the lowest begins a group."""
+def join(values: np.ndarray, within: float, share: float = 0.0) -> np.ndarray:
+    """Values (n,), in their place the means of groups that span no more than ``within``, and than the ``share`` of the
+    lowest beside it; the lowest begins a group."""
     different, at = np.unique(values, return_inverse=True)
     group, first = np.zeros(len(different), dtype=int), different[0]
     for i in range(1, len(different)):
-        begins = different[i] - first > within
+        begins = different[i] - first > within + share * first
         group[i], first = group[i - 1] + begins, different[i] if begins else first
     # Each reading counts once, in any order of the rows.
     return np.asarray((np.bincount(group, different) / np.bincount(group))[group][at.ravel()])

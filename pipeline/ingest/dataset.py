@@ -63,7 +63,7 @@ class MeasuredRuns:
 
 
 def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> MeasuredRuns:
-    """Read all runs and bring them to common speeds and to x and y. Raises DataError and ConfigError.
+    """Read all runs, each at the speeds that it has, and bring them to x and y. Raises DataError and ConfigError.
 
     Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
     """
@@ -83,7 +83,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         if abs(bias.peak_shift) > bias.most
     ]
     wanted = config.speeds.rad_s() if config.speeds else None
-    speeds, vectors = to_common_speeds(runs, wanted, config.interpolation)
+    speeds, vectors, present = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve([*config.probes.values()], vectors)
     _check_size(displacement, runs)
     conditions = find_conditions(config, runs, speeds)
@@ -100,8 +100,27 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         displacement,
         tuple(acting),
         np.stack([find_frequencies(run, speeds) for run in config.runs], axis=1) if asynchronous else None,
+        present=present,
     )
     dataset = recorded
+    counts = [
+        *zip(
+            labels, (min(len(t.speeds) for t in run.tracks.values()) for run in runs), present.sum(axis=0), strict=True
+        )
+    ]
+    asked = config.speeds.rad_s() if config.speeds else speeds
+    if present.sum() < len(asked) * len(labels):
+        notes.append(
+            f"not every run was measured at each of the {len(asked)} speeds: "
+            + ", ".join(f"'{label}' at {count}" for label, _, count in counts)
+            + "; what is not there is left out, not extrapolated"
+        )
+    if stretched := [f"'{label}' from {rows} to {count}" for label, rows, count in counts if rows < count]:
+        notes.append(
+            f"runs were interpolated to more speeds than they were measured at ({', '.join(stretched)}), and what is "
+            "between them may be wrong near a resonance: give machine.recordings.speeds a larger step_rpm, or null to "
+            "take each run at its own speeds"
+        )
     if conditions:
         names = [run.name for run in config.runs]
         dataset, merged = to_points(recorded, names, conditions, config.same_conditions)

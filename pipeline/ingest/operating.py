@@ -24,7 +24,8 @@ Conditions = dict[str, np.ndarray]
 
 
 def find_conditions(config: MeasuredConfig, runs: Sequence[RunTracks], speeds: np.ndarray) -> Conditions:
-    """Name -> (S, R) SI at ``speeds`` (S,) rad/s: what ``operating`` of a run says, or the file, or the columns.
+    """Name -> (S, R) SI at ``speeds`` (S,) rad/s: what ``operating`` of a run says, or the file, or the columns; beyond
+    the range of a run, which has no reading there, the value at its end.
 
     Raises DataError for a condition that some recordings lack, and for speeds or times that the file does not cover.
     """
@@ -88,7 +89,10 @@ def _look_up(
             f"{where} may have time_s for run-ups alone (records=run_up), which pass each speed once, but run "
             f"'{run.name}' is none: give speed_rpm"
         )
-    wanted = speeds / RAD_S_PER_RPM if tracks.times is None or key == "speed_rpm" else tracks.times
+    passed = next(iter(tracks.tracks.values())).speeds
+    wanted = np.clip(speeds, passed[0], passed[-1]) / RAD_S_PER_RPM
+    if key == "time_s":
+        wanted = np.interp(speeds, passed, np.asarray(tracks.times))
     given = table[key][rows]
     order = np.argsort(given, kind="stable")
     given = given[order]
@@ -119,7 +123,8 @@ def _group(recorded: VibrationDataset, place: np.ndarray) -> list[list[int]]:
     groups: list[list[int]] = []
     for r in range(place.shape[1]):
         for group in groups:
-            apart = not any(np.isin(place[:, r], place[:, other]).any() for other in group)
+            held = place[recorded.present[:, r], r]
+            apart = not any(np.isin(held, place[:, other]).any() for other in group)
             same = np.array_equal(recorded.frequencies[:, r], recorded.frequencies[:, group[0]])
             if apart and same and recorded.excitation_of(r) == recorded.excitation_of(group[0]):
                 group.append(r)
@@ -137,10 +142,11 @@ def to_points(
     Recordings of one excitation are one run where no point holds two of them: it is called by the first of their
     ``names`` (R,). Raises DataError where recordings of one name share a point.
     """
-    n_speeds, n_recordings = len(recorded.speeds), len(recorded.runs)
-    flat = {name: values.ravel() for name, values in conditions.items()}
-    speeds, operating, at = find_points(np.repeat(recorded.speeds, n_recordings), flat, same)
-    place = at.reshape(n_speeds, n_recordings)  # the point of each speed in each recording
+    seen = recorded.present
+    flat = {name: values[seen] for name, values in conditions.items()}
+    speeds, operating, at = find_points(recorded.speeds[np.nonzero(seen)[0]], flat, same)
+    place = np.full(seen.shape, -1)  # the point of each speed in each recording
+    place[seen] = at
     groups = _group(recorded, place)
     runs = tuple(names[group[0]] for group in groups)
     if len(set(runs)) < len(runs):
@@ -154,9 +160,10 @@ def to_points(
     run_speeds = np.repeat(speeds[:, None], len(runs), axis=1)
     for g, group in enumerate(groups):
         for r in group:
-            displacement[place[:, r], :, g] = recorded.displacement[..., r]
-            present[place[:, r], g] = True
-            run_speeds[place[:, r], g] = recorded.frequencies[:, r]
+            points, rows = place[seen[:, r], r], np.flatnonzero(seen[:, r])
+            displacement[points, :, g] = recorded.displacement[rows, :, r]
+            present[points, g] = True
+            run_speeds[points, g] = recorded.frequencies[rows, r]
     acting = tuple(
         replace(excitation, run=run)
         for run, group in zip(runs, groups, strict=True)

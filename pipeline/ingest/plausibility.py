@@ -83,7 +83,7 @@ def measure_backward(dataset: VibrationDataset) -> dict[str, float]:
     """The share of speeds and nodes at which the orbits of each run of unbalances turn backward."""
     shares, orbits = {}, np.array([*dataset.orbits.values()]).reshape(-1, len(dataset.speeds), 2, len(dataset.runs))
     for r, run in enumerate(dataset.runs):
-        x, y = orbits[..., r].transpose(2, 0, 1)
+        x, y = orbits[:, dataset.present[:, r], :, r].transpose(2, 0, 1)
         if {excitation.kind for excitation in dataset.excitation_of(r)} == {"unbalance"} and x.size:
             shares[run] = float((np.abs(x - 1j * y) > np.abs(x + 1j * y)).mean())
     return shares

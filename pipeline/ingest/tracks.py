@@ -1,4 +1,4 @@
-"""1X vectors of probes over the speed, and bringing all runs to the same speeds.
+"""1X vectors of probes over the speed, and the speeds of all runs together.
 
 Legend: S speeds, P probes, R runs.
 """
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.data.coefficient_files import interpolate
+from pipeline.data.operating import join
 from pipeline.errors import DataError
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
@@ -90,70 +91,69 @@ def sort_track(
     return Track(speeds, vectors)
 
 
-def to_common_speeds(runs: Sequence[RunTracks], speeds: np.ndarray | None, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """The speeds (S,) rad/s of all runs, and their vectors (S, P, R).
+def to_common_speeds(
+    runs: Sequence[RunTracks], stated: np.ndarray | None, kind: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The speeds (S,) rad/s of all runs together, their vectors (S, P, R), and which runs have which speed (S, R).
 
-    ``speeds`` (S,) rad/s are interpolated to (``kind`` cubic or linear), never beyond a run's range; None where all
-    runs have the same speeds, to 0.1 %. Raises DataError otherwise.
+    Each run is interpolated (``kind`` cubic or linear) to those of the ``stated`` speeds (n,) rad/s that all its probes
+    cover; None takes the speeds of the runs as they are. Raises DataError for a run that covers none of them, and for
+    a probe that lacks a speed of its run.
     """
     every = [(run, probe, track) for run in runs for probe, track in run.tracks.items()]
-    if speeds is None:
-        speeds = every[0][2].speeds
-        for run, probe, track in every[1:]:
-            _require_same(run, probe, track, speeds, every)
-        columns = [track.vectors for _, _, track in every]
-        mean = np.mean([track.speeds for _, _, track in every], axis=0)
-        # A mean of equal numbers is rounded.
-        speeds = np.where(np.isclose(mean, speeds, rtol=1e-12, atol=0), speeds, mean)
+    if stated is None:
+        joined = np.split(_join_speeds(every), np.cumsum([len(track.speeds) for _, _, track in every])[:-1])
+        speeds = np.unique(np.concatenate(joined))
+        placed = [(np.searchsorted(speeds, at), each[2].vectors) for at, each in zip(joined, every, strict=True)]
     else:
-        columns = [_interpolate(run, probe, track, speeds, kind) for run, probe, track in every]
-    return speeds, np.stack(columns, axis=1).reshape(len(speeds), len(runs), -1).transpose(0, 2, 1)
-
-
-def _require_same(
-    run: RunTracks,
-    probe: str,
-    track: Track,
-    speeds: np.ndarray,
-    every: Sequence[tuple[RunTracks, str, Track]],
-    same: float = 1e-3,
-) -> None:
-    """Raise DataError for speeds that differ by more than the share ``same``."""
-    if len(track.speeds) == len(speeds) and np.allclose(track.speeds, speeds, rtol=same, atol=0):
-        return
-    first = every[0][0].name
-    start = max(float(other.speeds[0]) for _, _, other in every) / RAD_S_PER_RPM
-    stop = min(float(other.speeds[-1]) for _, _, other in every) / RAD_S_PER_RPM
-    common = (
-        f"all of them cover {write_number(start, digits=6)} to {write_number(stop, digits=6)} rpm"
-        if start <= stop
-        else "no speed is covered by all"
-    )
-    raise DataError(
-        f"all runs must have the same speeds where machine.recordings.speeds is null, but run '{run.name}' has "
-        f"{_format_range(track)} at probe '{probe}', and run '{first}' has {_format_range(every[0][2])} "
-        f"({run.source}): give machine.recordings.speeds={{start_rpm: .., stop_rpm: .., step_rpm: ..}} to interpolate "
-        f"to; {common}"
-    )
-
-
-def _interpolate(run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str) -> np.ndarray:
-    low, high = track.speeds[0] * (1 - ROUNDING), track.speeds[-1] * (1 + ROUNDING)
-    if speeds[0] < low or speeds[-1] > high:
+        speeds, placed = stated, [_interpolate(run, probe, track, stated, kind) for run, probe, track in every]
+    columns = np.full((len(speeds), len(every)), np.nan + 0j)
+    for column, (at, shown) in zip(columns.T, placed, strict=True):
+        column[at] = shown
+    vectors = columns.reshape(len(speeds), len(runs), -1).transpose(0, 2, 1)
+    seen = ~np.isnan(vectors)
+    present = seen.all(axis=1)
+    if stated is None and len(alone := np.argwhere(seen & ~present[:, None])):
+        s, p, r = alone[0]
         raise DataError(
-            f"every run must cover machine.recordings.speeds ({format_rpm(speeds[0])} to {format_rpm(speeds[-1])} "
-            f"rpm), but the speed range of run '{run.name}' is {_format_range(track)} at probe '{probe}' "
-            f"({run.source}): {_name_confusion(track.speeds, speeds)}nothing is extrapolated, choose "
-            "machine.recordings.speeds within it"
+            f"every probe of a run must have the same speeds, but run '{runs[r].name}' has {format_rpm(speeds[s])} "
+            f"rpm at probe '{[*runs[r].tracks][p]}' and not at all others ({runs[r].source}): leave it out, or give "
+            "machine.recordings.speeds={start_rpm: .., stop_rpm: .., step_rpm: ..} to interpolate to"
         )
-    if len(speeds) == len(track.speeds) and np.allclose(speeds, track.speeds, rtol=1e-9, atol=0):
-        return track.vectors
-    inside = np.clip(speeds, track.speeds[0], track.speeds[-1])
+    rows = present.any(axis=1)
+    return speeds[rows], np.where(present[:, None], vectors, 0.0)[rows], present[rows]
+
+
+def _join_speeds(every: Sequence[tuple[RunTracks, str, Track]], same: float = 1e-3) -> np.ndarray:
+    """The speeds of all tracks, one after the other; those that differ by less than the share ``same``, and than half a
+    step of any track, are one, their mean."""
+    steps = [(np.diff(track.speeds) / track.speeds[1:]).min(initial=2 * same) for _, _, track in every]
+    return join(np.concatenate([track.speeds for _, _, track in every]), 0.0, min(steps) / 2)
+
+
+def _interpolate(
+    run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of ``speeds`` (S,) rad/s lie in the range of the ``track``, and its vectors there; never beyond it."""
+    low, high = track.speeds[0] * (1 - ROUNDING), track.speeds[-1] * (1 + ROUNDING)
+    at = np.flatnonzero((low <= speeds) & (speeds <= high))
+    confused = _name_confusion(track.speeds, speeds)
+    if not len(at) or (confused and len(at) < len(speeds)):
+        raise DataError(
+            f"every run must cover some of machine.recordings.speeds ({format_rpm(speeds[0])} to "
+            f"{format_rpm(speeds[-1])} rpm), but the speed range of run '{run.name}' is {_format_range(track)} at "
+            f"probe '{probe}' ({run.source}): {confused}nothing is extrapolated, choose machine.recordings.speeds "
+            "within it"
+        )
+    wanted = speeds[at]
+    if len(wanted) == len(track.speeds) and np.allclose(wanted, track.speeds, rtol=1e-9, atol=0):
+        return at, track.vectors
+    inside = np.clip(wanted, track.speeds[0], track.speeds[-1])
     steps = np.diff(track.speeds)
     # A cubic through noise between two speeds that are nearly one would swing far out.
     if kind == "linear" or len(track.speeds) < 4 or steps.min() < np.median(steps) / 5:
-        return np.interp(inside, track.speeds, track.vectors)
-    return interpolate(track.speeds, track.vectors, inside)
+        return at, np.interp(inside, track.speeds, track.vectors)
+    return at, interpolate(track.speeds, track.vectors, inside)
 
 
 _CONFUSED = {60.0: "rpm called Hz", 1 / 60: "Hz called rpm", 1 / RAD_S_PER_RPM: "rpm called rad/s"}

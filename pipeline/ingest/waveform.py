@@ -275,22 +275,24 @@ def _fit_records(
 def _fit_sweep(
     config: SignalConfig, name: str, source: str, records: Iterable[Signals], slow_windows: int = 10
 ) -> RunTracks:
-    """Fit vectors to a single record at the wanted speeds, and at so many low ones for the slow roll."""
+    """Fit vectors to a single record at the wanted speeds that it covers, and at so many low ones for the slow roll."""
     assert config.speeds  # the schema has seen to it
     (record,), wanted = records, config.speeds.rad_s()
+    low, high = find_range(record, config.tracking)
+    inside = (wanted > low * (1 - 1e-6)) & (wanted < high * (1 + 1e-6))
+    wanted = wanted[inside] if inside.any() else wanted
     vectors, times = fit_sweep(record, wanted, config.tracking)
     tracks = _make_tracks(config, wanted, vectors, record.where)
     slow: dict[str, Track] = {}
     if config.slow_roll and config.slow_roll.below_rpm:
         limit = config.slow_roll.below_rpm * RAD_S_PER_RPM
-        lowest, _ = find_range(record, config.tracking)
-        if lowest >= limit:
+        if low >= limit:
             raise DataError(
                 f"{record.where} must have data below machine.recordings.slow_roll.below_rpm="
-                f"{config.slow_roll.below_rpm:g}, but windows fit from {format_rpm(lowest)} rpm on: give a larger one, "
+                f"{config.slow_roll.below_rpm:g}, but windows fit from {format_rpm(low)} rpm on: give a larger one, "
                 "or slow_roll.vectors"
             )
-        below = np.linspace(lowest, limit, slow_windows, endpoint=False)
+        below = np.linspace(low, limit, slow_windows, endpoint=False)
         slow = _make_tracks(config, below, fit_sweep(record, below, config.tracking)[0], record.where)
     return RunTracks(name, source, tracks, slow, record.notes, times)
 

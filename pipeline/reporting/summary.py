@@ -115,10 +115,12 @@ def describe_data(content: ReportContent, fit: FitContent) -> str:
     states = [label for label, _ in split_states(data.speeds, data.operating)]
     at = f" at {_join(states)}" if data.operating else ""
     less = f", less the run {baseline}" if baseline else ""
+    counts = zip(data.runs, data.present.sum(axis=0), strict=True)
+    runs = data.runs if data.complete else [f"{run} at {count(int(n), 'point')}" for run, n in counts]
     more = f" and {len(data.runs) - _MOST_RUNS} more" if len(data.runs) > _MOST_RUNS else ""
     kind = "modelled" if fit.coefficients.compared else "measured"
     return (
-        f"{kind}, {count(len(data.runs), 'run')} ({_join(data.runs[:_MOST_RUNS])}{more}){less}; "
+        f"{kind}, {count(len(data.runs), 'run')} ({_join(runs[:_MOST_RUNS])}{more}){less}; "
         f"{count(len(rpm), 'speed')} from {rpm[0]:g} to {rpm[-1]:g} rpm{at}; {count(len(data.channels), 'channel')} at "
         f"{_name_nodes(nodes)}"
     )

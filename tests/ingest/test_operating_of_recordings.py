@@ -17,7 +17,7 @@ from reading import DISC, GRID, RPM, RUNS, check_read, notes, parsed, read, resp
 from pipeline.data.dataset import VibrationDataset
 from pipeline.ingest.dataset import read_measured_runs
 from pipeline.ingest.operating import find_conditions
-from pipeline.ingest.tracks import RunTracks
+from pipeline.ingest.tracks import RunTracks, Track
 
 STATES = (45.0, 65.0)
 KELVIN = [celsius + 273.15 for celsius in STATES]
@@ -102,8 +102,9 @@ def test_oil_that_warms_during_a_run_up_by_time(tmp_path: Path) -> None:
     section = parsed(waves(conditions_file=str(log)))
 
     def conditions(last: float) -> np.ndarray:
-        tracks = RunTracks("one", "a", {}, times=np.array([2.0, 6.0, last]))
-        return find_conditions(section, [tracks], np.array([100.0, 150.0, 200.0]))["oil_temperature"][:, 0]
+        speeds = np.array([100.0, 150.0, 200.0])
+        tracks = RunTracks("one", "a", {"A": Track(speeds, 0j * speeds)}, times=np.array([2.0, 6.0, last]))
+        return find_conditions(section, [tracks], speeds)["oil_temperature"][:, 0]
 
     np.testing.assert_allclose(conditions(14.0) - 273.15, [41, 43, 47])
     with refused("must cover run 'one' (time_s 2 to 24), but it has 0 to 20: nothing is extrapolated"):
@@ -185,3 +186,13 @@ def test_a_column_must_have_a_unit_of_its_condition(tmp_path: Path) -> None:
     columns = {"speed": "speed", "conditions": {"oil_temperature": {"column": "T", "unit": "bar"}}}
     with pytest.raises(ValidationError, match="oil_temperature must convert to kelvin"):
         parsed(table_config(wide_runs(tmp_path), columns=columns))
+
+
+def test_a_log_must_cover_what_a_run_has_alone(tmp_path: Path) -> None:
+    """A run with fewer speeds than another is at fewer points, and its oil is asked for there only."""
+    log = tmp_path / "oil.csv"
+    log.write_text("run,speed_rpm,oil_temperature_degC\none,500,40\none,3000,40\ntwo,1000,40\ntwo,2000,40\n")
+    found = read(table_config(wide_runs(tmp_path, two=seen(1.1, GRID[2:7])), conditions_file=str(log)))
+    assert found.speeds == pytest.approx(GRID * RPM)
+    assert found.present.sum(axis=0).tolist() == [11, 5]
+    assert found.displacement[2:7, 0, 1] == pytest.approx(response(0, 1.1, GRID[2:7])[0])

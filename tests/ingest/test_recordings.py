@@ -191,6 +191,22 @@ def test_run_ups(ending: str, tmp_path: Path) -> None:
     assert np.abs(dataset.displacement[:, 0, 0] / response(0, 0.0, TRACKED)[0] - 1).max() < 1.6e-4
 
 
+def test_run_ups_of_other_ranges(tmp_path: Path) -> None:
+    """Each is tracked where it was, and how far that is, is said; orbits are judged there alone."""
+    seconds = {"one": 20.0, "two": 12.0}  # up to 1820 rpm
+    runs = [
+        run | {"file": str(write_hdf5(tmp_path / f"{n}.h5", volts(seconds[n], TURNS[n], 200, 135)))}
+        for run in RUNS
+        if (n := run["name"])
+    ]
+    dataset = read(signal_config("", runs))
+    assert dataset.present.sum(axis=0).tolist() == [18, 11]  # 1800 rpm is less than half a window from the end
+    for r, turn in enumerate(TURNS.values()):
+        rows = dataset.present[:, r]
+        assert dataset.displacement[rows, 2, r] == pytest.approx(response(2, turn, TRACKED[rows])[0], rel=2e-3)
+    assert notes(signal_config("", runs)).count("each of the 18 speeds: 'one' at 18, 'two' at 11;") == 1
+
+
 def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
     """The mean vector of the windows below the limit: the runout and what little the unbalance does there."""
     runs = [RUNS[0] | {"file": str(write_hdf5(tmp_path / "one.h5", run_up(0.0)))}]
@@ -235,6 +251,12 @@ def test_records_at_constant_speed(tmp_path: Path) -> None:
     for r, turn in enumerate(TURNS.values()):
         assert dataset.displacement[:, 3, r] == pytest.approx(response(2, turn, np.sort(speeds))[1], rel=1e-3)
     assert len(read(section | {"speeds": {"start_rpm": 900, "stop_rpm": 1500, "step_rpm": 100}}).speeds) == 7
+    runs[1] = runs[1] | {
+        "files": [str(write_hdf5(tmp_path / f"two{rpm}.h5", volts(2, 1.1, rpm))) for rpm in (1208, 900)]
+    }
+    apart = read(section | {"runs": runs})
+    assert apart.present.tolist() == [[True, False], [False, True], [True, True], [True, False]]
+    assert apart.displacement[1, 3, 1] == pytest.approx(response(2, 1.1, np.array([900.0]))[1][0], rel=1e-3)
 
 
 def test_a_sharp_tacho_at_a_whole_number_of_samples_is_warned_of(tmp_path: Path) -> None:
@@ -304,8 +326,8 @@ BAD_SIGNALS: dict[str, tuple[Change, dict[str, Any], str]] = {
     "the wrong channel": (lambda c: c | {"tacho": np.sin(np.arange(len(c["tacho"])) ** 1.7)}, {}, "evenly spaced"),
     "not the range": (
         lambda c: c,
-        {"speeds": {"start_rpm": 800, "stop_rpm": 3500, "step_rpm": 100}},
-        "must cover machine.recordings.speeds (800 to 3500 rpm) with windows of 8 revolutions, but it covers",
+        {"speeds": {"start_rpm": 3000, "stop_rpm": 3500, "step_rpm": 100}},
+        "must cover machine.recordings.speeds (3000 to 3500 rpm) with windows of 8 revolutions, but it covers",
     ),
     "a speed that changes": (lambda c: c, {"records": "constant_speed"}, "must have a constant speed (to 1 %)"),
     "a table in a channel": (

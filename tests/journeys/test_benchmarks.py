@@ -87,6 +87,20 @@ def test_every_benchmark_is_on_the_committed_page() -> None:
     assert [name for name in command.benchmarks() if f"`{name}`" not in page] == []
 
 
+def test_ross_answers_for_the_same_pedestals() -> None:
+    """To what its smoothing of the bearings' table leaves."""
+    from benchmarks.modelling import on_pedestals
+    from benchmarks.ross_oracle import ross_rotor
+
+    made = on_pedestals(1)
+    rotor = ross_rotor(made.config.machine.rotor, made.config.machine.bearings, made.speeds)
+    first = [e for e in made.excitations if e.run == made.runs[0]]
+    acting = [[e.node for e in first], [e.magnitude for e in first], [e.phase for e in first]]
+    theirs = rotor.run_unbalance_response(*acting, frequency=made.speeds[::118]).forced_resp[:42:6].T
+    ours = made.response[::118, :28:4, 0]
+    assert abs(ours - theirs).max() < 3e-6 * abs(theirs).max()
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_81_guesses_at_once_take_the_steps_of_one(machine: MachineFactory) -> None:

@@ -197,7 +197,7 @@ def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, caps
     edits = {
         '"first_disc.*"???"': "{node: 2, magnitude: 200 g mm, phase: 0 deg}",
         '"second_disc.*"???"': "{node: 4, magnitude: 200 g mm, phase: 90 deg}",
-        "start_rpm: 700, stop_rpm: 5900, step_rpm: 100": "start_rpm: 1500, stop_rpm: 5800, step_rpm: 50",
+        "start_rpm: 700, stop_rpm: 5900, step_rpm: 100": "start_rpm: 1500, stop_rpm: 5800, step_rpm: 100",
     }
     text = path.read_text()
     for old, new in edits.items():
