@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import ne
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,14 +48,22 @@ class Choices:
         return Choices(self.priors + more.priors, torch.cat([self.mean, more.mean]), torch.cat([self.root, more.root]))
 
     def beside(self, families: tuple[str, ...]) -> Choices:
-        """Those that differ from ``families`` at one bearing."""
-        differ = [sum(a != b for a, b in zip(others, families, strict=True)) for others in self.families]
-        return self.select([i for i, count in enumerate(differ) if count == 1])
+        """Those that differ from ``families`` at one bearing, or in the ground alone."""
+        keys = [
+            (any(prior.yields for prior in several), *(prior.family for prior in several)) for several in self.priors
+        ]
+        best = keys[self.families.index(families)]
+        return self.select([i for i, key in enumerate(keys) if sum(map(ne, key, best)) == 1])
 
     @property
     def families(self) -> tuple[tuple[str, ...], ...]:
         """Names of the families."""
-        return tuple(tuple(prior.family for prior in several) for several in self.priors)
+        return tuple(tuple(prior.name for prior in several) for several in self.priors)
+
+    @property
+    def firm(self) -> list[int]:
+        """Places of those on ground that does not yield."""
+        return [i for i, several in enumerate(self.priors) if not any(prior.yields for prior in several)]
 
     def functions(self) -> Prior:
         """The prior of the first choice as whitened rows."""
@@ -81,15 +90,17 @@ def list_choices(
             "a population of bearings must have identify.shared=false and identify.structure=none, since each bearing "
             "and direction has coordinates of its own: leave these out, or choose model=network_fluid_film"
         )
-    priors = []
-    for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
-        coordinates = list_places([unknowns.names[u] for member, u in unknowns.active if member == m])
-        made = make_priors(families, nodes, float(load), float(diameter))
-        priors.append([prior.select(coordinates) for prior in made])
-    every: list[tuple[FamilyPrior, ...]] = list(itertools.product(*priors))
-    if len(every) > most:
-        every = list(zip(*priors, strict=True))
-    axes = {prior: _axes(prior, negligible) for prior in itertools.chain(*priors)}
+    every: list[tuple[FamilyPrior, ...]] = []
+    for yields in (False, True):
+        priors = []
+        for m, (load, diameter) in enumerate(zip(find_static_loads(rotor), estimate_journals(rotor), strict=True)):
+            coordinates = list_places([unknowns.names[u] for member, u in unknowns.active if member == m])
+            made = make_priors(families, nodes, float(load), float(diameter), yields=yields)
+            priors.append([prior.select(coordinates) for prior in made])
+        product = list(itertools.product(*priors))
+        product = product if len(product) <= most else list(zip(*priors, strict=True))
+        every += [several for several in product if any(prior.yields for prior in several) == yields]
+    axes = {prior: _axes(prior, negligible) for prior in itertools.chain(*every)}
     count = max(root.shape[1] for root in axes.values())
     wide = {prior: torch.nn.functional.pad(root, (0, count - root.shape[1])) for prior, root in axes.items()}
     return Choices(

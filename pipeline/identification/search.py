@@ -80,8 +80,9 @@ def search(
     import torch
 
     stated, (rough, parameters) = problem, _simplify(problem)
-    main = choices.root.norm(dim=1).amax(dim=0) > small
-    started, y = _descend(Whitened(rough, replace(choices, root=choices.root[..., main])), seed)
+    firm = choices.select(choices.firm)  # ground that yields is tried beside the best of these
+    main = firm.root.norm(dim=1).amax(dim=0) > small
+    started, y = _descend(Whitened(rough, replace(firm, root=firm.root[..., main])), seed)
     likely = choices.select([choices.families.index(families) for families in started.choices.families])
     whitened = Whitened(problem, likely)
     # What the simpler problem lacks is as it was before the data.

@@ -11,7 +11,7 @@ Legend: K nodes, 8 coordinates, n drawn bearings. SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,12 +38,18 @@ class FamilyPrior:
     family: str
     mean: np.ndarray  # (8 K,) coordinate by coordinate
     root: np.ndarray  # (8 K, 8 K) lower, of the covariance
+    yields: bool = False  # whether the ground does
+
+    @property
+    def name(self) -> str:
+        """As a user reads it."""
+        return f"{self.family} on a pedestal" if self.yields else self.family
 
     def select(self, coordinates: Sequence[int]) -> FamilyPrior:
         """That of some coordinates, in this order."""
         places = np.arange(len(self.mean)).reshape(8, -1)[list(coordinates)].ravel()
         rows = self.root[places]
-        return FamilyPrior(self.family, self.mean[places], np.asarray(np.linalg.cholesky(rows @ rows.T)))
+        return replace(self, mean=self.mean[places], root=np.asarray(np.linalg.cholesky(rows @ rows.T)))
 
 
 def draw_bearings(
@@ -87,10 +93,42 @@ def draw_bearings(
     return (turn @ matrices @ turn.swapaxes(-1, -2)).reshape(count, len(speeds), 8)
 
 
+def stand_on_ground(
+    coefficients: np.ndarray,
+    speeds: np.ndarray,
+    generator: np.random.Generator,
+    stiffer: tuple[float, float] = (6.0, 1.5),
+    above: tuple[float, float] = (3.0, 0.7),
+) -> np.ndarray:
+    """(n, K, 8) drawn bearings as the shaft feels them on pedestals ``h = k - w^2 m``: ``(Z^-1 + 1/h)^-1``.
+
+    Medians and deviations of logarithms: how many times ``stiffer`` a pedestal is than its bearing, the largest of
+    |Zxx| and |Zyy| over the speed, and how far ``above`` the highest speed it resonates by itself.
+    """
+    count, n_speeds = coefficients.shape[:2]
+    matrices = coefficients.reshape(count, n_speeds, 2, 2, 2)
+    film = matrices[:, :, 0] + 1j * speeds[:, None, None] * matrices[:, :, 1]
+    size = np.abs(np.diagonal(film, axis1=2, axis2=3)).max(axis=(1, 2))
+    ratio, resonance = (
+        median * np.exp(deviation * generator.standard_normal(count)) for median, deviation in (stiffer, above)
+    )
+    ground = (size * ratio)[:, None] * (1 - (speeds / speeds[-1] / np.maximum(resonance, 1.2)[:, None]) ** 2)
+    pedestal = ground[..., None, None] * np.eye(2)
+    felt = pedestal @ np.linalg.solve(pedestal + film, film)
+    return np.stack([felt.real, felt.imag / speeds[:, None, None]], axis=2).reshape(coefficients.shape)
+
+
 def make_priors(
-    families: Sequence[str], speeds: np.ndarray, load: float, diameter: float, seed: int = 0, rough: float = 0.1
+    families: Sequence[str],
+    speeds: np.ndarray,
+    load: float,
+    diameter: float,
+    seed: int = 0,
+    rough: float = 0.1,
+    yields: bool = False,
 ) -> tuple[FamilyPrior, ...]:
-    """One of each of the ``families``, at nodes ``speeds`` (K,) rad/s; the same for the same seed.
+    """One of each of the ``families``, at nodes ``speeds`` (K,) rad/s, on pedestals where the ground ``yields``; the
+    same for the same seed.
 
     Measured bearings have kinks: ``rough``, a share of what theory lacks, has a length of 0.3 in ln w.
     """
@@ -102,13 +140,15 @@ def make_priors(
     priors: dict[str, FamilyPrior] = {}
     for family, (size, angle, stiffness, damping) in LACKS.items():
         generator = np.random.default_rng([seed, list(LACKS).index(family)])
-        drawn = to_coordinates(draw_bearings(family, speeds, load, diameter, generator), speeds)
+        pure = draw_bearings(family, speeds, load, diameter, generator)
+        drawn = to_coordinates(stand_on_ground(pure, speeds, generator) if yields else pure, speeds)
         sane = np.isfinite(drawn).all(axis=(1, 2)) & (drawn[..., 0].max(axis=1) < 40)
         columns = drawn[sane].swapaxes(1, 2).reshape(sane.sum(), -1)
         lacks = np.diag([size, angle, size, angle, stiffness, stiffness, damping, damping]) ** 2
         apart = 0.06**2 / 2  # cxy and cyx are alike to 0.06
         lacks[6:, 6:] = damping**2 - apart + 2 * apart * np.eye(2)
-        priors[family] = FamilyPrior(family, columns.mean(axis=0), _root(np.cov(columns.T) + np.kron(lacks, smooth)))
+        root = _root(np.cov(columns.T) + np.kron(lacks, smooth))
+        priors[family] = FamilyPrior(family, columns.mean(axis=0), root, yields)
     level = float(np.mean([prior.mean.reshape(8, -1)[[0, 2]].mean() for prior in priors.values()]))
     priors["unknown"] = _unknown(u, smooth, level)
     return tuple(priors[family] for family in families)

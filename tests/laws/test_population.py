@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.laws.population import LACKS, draw_bearings, make_priors
+from pipeline.laws.population import LACKS, draw_bearings, make_priors, stand_on_ground
 
 NODES = np.geomspace(40.0, 700.0, 6)
 
@@ -29,11 +29,12 @@ def test_films_scale_with_load_and_speed(family: str) -> None:
     assert np.allclose(second[..., 4:], first[..., 4:], rtol=1e-9, atol=1e-6)
 
 
-def test_priors_are_normal_distributions_with_room_for_what_theory_lacks() -> None:
+@pytest.mark.parametrize("yields", [False, True])
+def test_priors_are_normal_distributions_with_room_for_what_theory_lacks(yields: bool) -> None:
     """Symmetric, positive, no narrower than what theory lacks; the same again for the same seed."""
     families = (*LACKS, "unknown")
-    priors = make_priors(families, NODES, 300.0, 0.06)
-    again = make_priors(families, NODES, 300.0, 0.06)
+    priors = make_priors(families, NODES, 300.0, 0.06, yields=yields)
+    again = make_priors(families, NODES, 300.0, 0.06, yields=yields)
     for prior, same in zip(priors, again, strict=True):
         assert np.array_equal(prior.mean, same.mean)
         assert np.array_equal(prior.root, same.root)
@@ -59,3 +60,16 @@ def test_a_bearing_of_ross_lies_within_the_prior_of_its_family() -> None:
     (prior,) = make_priors(("plain",), NODES, 300.0, 0.06)
     off = to_coordinates(values, NODES).T.ravel() - prior.mean
     assert (np.abs(off) < 3 * np.sqrt((prior.root**2).sum(axis=1))).all()
+
+
+def test_on_rigid_ground_a_bearing_is_felt_as_it_is_and_on_pedestals_in_series() -> None:
+    """Springs in series, far below the own frequency of the pedestal: Z H / (Z + H)."""
+    rolling = draw_bearings("rolling", NODES, 500.0, 0.05, np.random.default_rng(3), count=20)
+    rigid = stand_on_ground(rolling, NODES, np.random.default_rng(4), (1e9, 0.0), (1e6, 0.0))
+    assert np.allclose(rigid, rolling, rtol=1e-6)
+    soft = stand_on_ground(rolling, NODES, np.random.default_rng(4), (2.0, 0.0), (1e6, 0.0))
+    larger = np.abs(rolling[..., [0, 3]] + 1j * NODES[:, None] * rolling[..., [4, 7]]).max(axis=(1, 2))
+    ground, film = 2 * larger[:, None], rolling[..., 0] + 1j * NODES * rolling[..., 4]
+    felt = film * ground / (film + ground)
+    assert np.allclose(soft[..., 0], felt.real, rtol=1e-9)
+    assert np.allclose(NODES * soft[..., 4], felt.imag, rtol=1e-9)

@@ -362,12 +362,21 @@ def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorF
         assert found.evidence(ends)[0] > wrong.evidence(start)[0]
 
 
-@pytest.mark.parametrize(("seed", "kinds"), [(151, ("plain", "plain")), (154, ("rolling", "rolling"))])
-def test_the_real_kinds_are_the_likeliest(study: Any, tmp_path: Path, seed: int, kinds: tuple[str, str]) -> None:
+@pytest.mark.parametrize(
+    ("seed", "trouble", "kinds"),
+    [
+        (151, "none", ("plain", "plain")),
+        (154, "none", ("rolling", "rolling")),
+        (443, "support", ("plain on a pedestal", "rolling on a pedestal")),
+    ],
+)
+def test_the_real_kinds_are_the_likeliest(
+    study: Any, tmp_path: Path, seed: int, trouble: str, kinds: tuple[str, str]
+) -> None:
     """Narrower priors, that of tilting pads, explain less on the first machine; on the second the real kinds were the
-    likeliest without tolerances of probes, and were dropped before they had any.
+    likeliest without tolerances of probes, and were dropped before they had any. The third stands on pedestals.
     """
-    study["ordinary"].write_user_files(tmp_path, study["draw"].draw_machine(seed), 0.01, seed)
+    study["ordinary"].write_user_files(tmp_path, study["draw"].draw_machine(seed, trouble=trouble), 0.01, seed)
     config = compose_config([f"machine.file={tmp_path / 'machine.yaml'}", "tracking=none", f"output={tmp_path}/answer"])
     searched: Any = prepare_output_error(load_measurement(config), setup_of(config)).searched
     assert searched.choices.families[0] == kinds
