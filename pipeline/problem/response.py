@@ -201,11 +201,6 @@ class ResponseEquations:
         return sum(len(block.runs) for block in self.blocks)
 
     @property
-    def n_channels(self) -> int:
-        """P."""
-        return int(self.blocks[0].forced_sensors.shape[1])
-
-    @property
     def frequencies(self) -> np.ndarray:
         """(S, R) rad/s."""
         result = np.empty((len(self.speeds), self.n_runs))
