@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat, create_model
 
-from pipeline.coefficients import COEFFICIENTS, is_stiffness
 from pipeline.config.messages import suggest
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
 from pipeline.config.quantities import (
-    AnyDamping,
-    AnyStiffness,
     Deviation,
     ShaftAngle,
     WeightMagnitude,
+    define_coefficients,
 )
 from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import Section, rule
@@ -43,11 +41,7 @@ AS_MODELLED = "bearings"
 
 
 class KnownConfig(
-    create_model(  # type: ignore[misc]  # a key for each coefficient that there is
-        "_Known",
-        __base__=Section,
-        **{name: ((AnyStiffness if is_stiffness(name) else AnyDamping) | None, None) for name in COEFFICIENTS},
-    )
+    create_model("_Known", __base__=Section, **define_coefficients(None))  # type: ignore[misc]
 ):
     """Known coefficients of every bearing that do not change with the speed, such as ``{cxy: 0 N s/m}``."""
 
