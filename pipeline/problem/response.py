@@ -203,10 +203,7 @@ class ResponseEquations:
     @property
     def frequencies(self) -> np.ndarray:
         """(S, R) rad/s."""
-        result = np.empty((len(self.speeds), self.n_runs))
-        for block in self.blocks:
-            result[:, block.runs] = block.frequencies[:, None]
-        return result
+        return self._gather(lambda block: np.repeat(block.frequencies[:, None, None], len(block.runs), axis=2))[:, 0]
 
     @property
     def films(self) -> tuple[ResponseBlock, ...]:
