@@ -12,6 +12,7 @@ members have, S speeds, 8 coefficients in the order of :data:`pipeline.coefficie
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -86,14 +87,10 @@ class UnknownSet:
         """(B, 8) mask of the coefficients that are not known."""
         return (self.expansion != 0).any(axis=2)
 
-    def coefficients(self, b: int) -> tuple[str, ...]:
-        """Names of what is identified at bearing b."""
-        return tuple(name for name, found in zip(COEFFICIENTS, self.identified[b], strict=True) if found)
-
     @property
     def by_bearing(self) -> tuple[tuple[str, ...], ...]:
         """Names of what is identified, bearing by bearing."""
-        return tuple(self.coefficients(b) for b in range(len(self.expansion)))
+        return tuple(tuple(itertools.compress(COEFFICIENTS, bearing)) for bearing in self.identified)
 
     @cached_property
     def influence(self) -> np.ndarray:

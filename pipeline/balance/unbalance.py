@@ -27,20 +27,14 @@ from pipeline.problem.noise_levels import student_factor
 class Unbalance:
     """The weights in all planes that a vibration means."""
 
-    planes: tuple[int, ...]  # N
     value: np.ndarray  # (N,) complex, kg m
     covariance: np.ndarray  # (N, N) complex, (kg m)^2, circular
     freedom: float  # complex degrees of freedom of the covariance; 0 where it can't be known
     unexplained: float  # T^2 of what no weight in these planes explains
 
-    @property
-    def deviation(self) -> np.ndarray:
-        """(N,) kg m, standard deviation of the real and of the imaginary part."""
-        return np.asarray(np.sqrt(np.diag(self.covariance).real / 2))
-
     def half_width(self, level: float = 0.95) -> np.ndarray:
         """(N,) kg m, half of the interval of the real and of the imaginary part."""
-        return self.deviation * student_factor(self.freedom, level)
+        return np.sqrt(np.diag(self.covariance).real / 2) * student_factor(self.freedom, level)
 
     def magnitude_interval(self, level: float = 0.95) -> np.ndarray:
         """(N, 2) kg m, lowest and highest magnitude. The magnitude of a noisy vector has a Rice distribution."""
@@ -86,7 +80,7 @@ def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 
     elif 0 < left < np.inf:
         left = max(left - spare, 1.0)  # a shrunk covariance has a little more; 1 is the least with an interval
         factor = levels.freedom / left * (1 + squared / levels.freedom)
-    return Unbalance(model.planes, value, np.linalg.inv(information) * factor, left, squared)
+    return Unbalance(value, np.linalg.inv(information) * factor, left, squared)
 
 
 def _rice(magnitude: float, half_width: float, level: float) -> tuple[float, float]:

@@ -10,17 +10,16 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, PositiveFloat
+from pydantic import BeforeValidator, Field, PositiveFloat, create_model
 
 from pipeline.config.messages import suggest
 from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
 from pipeline.config.operating import Conditions, Differences
 from pipeline.config.quantities import (
-    AnyDamping,
-    AnyStiffness,
     Deviation,
     ShaftAngle,
     WeightMagnitude,
+    define_coefficients,
 )
 from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, UnbalanceConfig
 from pipeline.config.section import Section, rule
@@ -41,17 +40,10 @@ AS_MODELLED = "bearings"
 """In place of a file of known coefficients: those of the machine's ``bearings``."""
 
 
-class KnownConfig(Section):
+class KnownConfig(
+    create_model("_Known", __base__=Section, **define_coefficients(None))  # type: ignore[misc]
+):
     """Known coefficients of every bearing that do not change with the speed, such as ``{cxy: 0 N s/m}``."""
-
-    kxx: AnyStiffness | None = None
-    kxy: AnyStiffness | None = None
-    kyx: AnyStiffness | None = None
-    kyy: AnyStiffness | None = None
-    cxx: AnyDamping | None = None
-    cxy: AnyDamping | None = None
-    cyx: AnyDamping | None = None
-    cyy: AnyDamping | None = None
 
 
 def _parse_known(value: Any) -> Any:

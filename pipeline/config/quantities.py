@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from pipeline.coefficients import COEFFICIENTS, is_stiffness
 from pipeline.config.section import Section
 
 
@@ -150,6 +151,12 @@ ShaftAngle = Annotated[float, BeforeValidator(_convert_angle), Field(json_schema
 
 WeightMagnitude = Annotated[float, BeforeValidator(_convert_weight), Field(json_schema_extra={"unit": "kg * m"}, gt=0)]
 """kg m, of a weight that somebody put on; a number that can only be in another unit is refused."""
+
+
+def define_coefficients(default: float | None) -> dict[str, Any]:
+    """A key for each of the eight coefficients, with a ``default``: null may stand for it where that is null."""
+    kinds = {name: AnyStiffness if is_stiffness(name) else AnyDamping for name in COEFFICIENTS}
+    return {name: (kind | None if default is None else kind, default) for name, kind in kinds.items()}
 
 
 # --- numbers that may be unknown -------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from pipeline.identification.training import FitSetup
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.ranking import find_least, rank, rank_indices
+from pipeline.problem.ranking import find_least, list_leading, rank_indices
 from pipeline.problem.slopes import invert
 
 if TYPE_CHECKING:
@@ -45,12 +45,8 @@ class Combination:
     @property
     def words(self) -> str:
         """Its leading coefficients, joined by their signs."""
-        order = rank({name: abs(share) for name, share in self.shares.items()})
-        leading = [(name, self.shares[name]) for name in order if abs(self.shares[name]) >= self.leading]
-        leading = leading or [(order[0], self.shares[order[0]])]
-        first = np.sign(leading[0][1])
-        parts = [f"{'with' if share * first > 0 else 'against'} {name}" for name, share in leading[1:]]
-        return " ".join([leading[0][0], *parts])
+        (first, _), *others = list_leading(self.shares, self.leading).items()
+        return " ".join([first, *(f"{'with' if share > 0 else 'against'} {name}" for name, share in others)])
 
 
 @dataclass(frozen=True)

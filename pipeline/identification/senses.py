@@ -137,7 +137,7 @@ class Senses:
         return text + "."
 
 
-def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense], None] | None = None) -> Senses:
+def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense], None] = lambda _: None) -> Senses:
     """Fit the data in every sense, and compare chi-square with the priors under one noise.
 
     The noise is that of the readings as stated; where it is estimated it is what the best sense leaves. What even the
@@ -152,8 +152,7 @@ def try_senses(measurement: Measurement, setup: FitSetup, tell: Callable[[Sense]
     fits: dict[Sense, list[OutputErrorFit]] = {}
     refused: dict[Sense, str] = {}
     for sense in SENSES:
-        if tell is not None:
-            tell(sense)
+        tell(sense)
         try:
             fits[sense] = _fit(sense.read(measurement), setup)
         except ConfigError as error:

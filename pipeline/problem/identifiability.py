@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.errors import IdentifiabilityError
 from pipeline.problem.noise import DEPENDENT
-from pipeline.problem.ranking import rank
+from pipeline.problem.ranking import list_leading
 from pipeline.problem.residual import BearingEquations, LinearResidual
 
 
@@ -75,11 +75,8 @@ class Identifiability:
         Shares below ``least`` are left out.
         """
         vector = self.free[int(np.argsort(self.condition)[len(self.condition) // 2])]
-        shares = dict(zip(self.unknowns, vector, strict=True))
-        order = rank({name: abs(share) for name, share in shares.items()})
-        sign = np.sign(shares[order[0]])
-        shown = [(name, sign * shares[name]) for name in order if abs(shares[name]) >= least]
-        phrases = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown]
+        shown = list_leading(dict(zip(self.unknowns, vector, strict=True)), least)
+        phrases = [f"{'-' if share < 0 else '+'} {abs(share):.2f} {name}" for name, share in shown.items()]
         return " ".join(phrases).removeprefix("+ ")
 
 

@@ -22,7 +22,7 @@ from pipeline.errors import IdentifiabilityError
 from pipeline.laws.law_set import LawSet
 from pipeline.laws.numbers import OIL_TEMPERATURE, LawParameter
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.ranking import rank, rank_indices
+from pipeline.problem.ranking import list_leading, rank_indices
 from pipeline.problem.slopes import ReadingSlopes, invert, prior_information
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -71,9 +71,7 @@ class LawInformation:
         for direction in np.linalg.solve(open_[first].T, open_.T):
             shares = direction / np.linalg.norm(direction)
             by_name = {parameter.name: float(share) for parameter, share in zip(self.parameters, shares, strict=True)}
-            order = rank({name: abs(share) for name, share in by_name.items()})
-            sign = np.sign(by_name[order[0]])
-            combinations.append({name: sign * by_name[name] for name in order if abs(by_name[name]) >= self.leading})
+            combinations.append(list_leading(by_name, self.leading))
         return tuple(combinations)
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
@@ -117,11 +118,7 @@ def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.
 
 def spread_blocks(record: np.ndarray) -> np.ndarray:
     """(D, D) with the blocks of the speeds (S, P, P) on its diagonal."""
-    n_speeds, n_channels, _ = record.shape
-    result = np.zeros((n_speeds, n_channels, n_speeds, n_channels), dtype=complex)
-    for s in range(n_speeds):
-        result[s, :, s] = record[s]
-    return result.reshape(n_speeds * n_channels, -1)
+    return np.asarray(block_diag(*record), dtype=complex)
 
 
 def estimate_noise_levels(

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any, TypeVar
 
+import numpy as np
+
 Name = TypeVar("Name", bound=Any)
 
 
@@ -28,6 +30,13 @@ def rank(sizes: Mapping[Name, float], alike: float = 1e-6) -> list[Name]:
 def rank_indices(sizes: Iterable[float]) -> list[int]:
     """The same of a sequence: the names are its indices."""
     return rank(dict(enumerate(map(float, sizes))))
+
+
+def list_leading(shares: Mapping[str, float], least: float) -> dict[str, float]:
+    """A combination by its largest share, which becomes positive, and the others down to ``least``, in their order."""
+    order = rank({name: abs(share) for name, share in shares.items()})
+    sign = np.sign(shares[order[0]])
+    return {name: sign * shares[name] for name in order if name == order[0] or abs(shares[name]) >= least}
 
 
 def find_least(sizes: Mapping[Name, float]) -> Name:

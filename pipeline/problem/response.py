@@ -201,17 +201,9 @@ class ResponseEquations:
         return sum(len(block.runs) for block in self.blocks)
 
     @property
-    def n_channels(self) -> int:
-        """P."""
-        return int(self.blocks[0].forced_sensors.shape[1])
-
-    @property
     def frequencies(self) -> np.ndarray:
         """(S, R) rad/s."""
-        result = np.empty((len(self.speeds), self.n_runs))
-        for block in self.blocks:
-            result[:, block.runs] = block.frequencies[:, None]
-        return result
+        return self._gather(lambda block: np.repeat(block.frequencies[:, None, None], len(block.runs), axis=2))[:, 0]
 
     @property
     def films(self) -> tuple[ResponseBlock, ...]:

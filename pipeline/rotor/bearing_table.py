@@ -23,11 +23,6 @@ class BearingTable:
     values: np.ndarray  # (B, S, 8) N/m and N s/m
     operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
 
-    @property
-    def points(self) -> dict[str, np.ndarray]:
-        """Name -> (S,) ``speed`` in rad/s, and the operating conditions."""
-        return {"speed": self.speeds, **self.operating}
-
     def coefficient(self, name: str) -> np.ndarray:
         """(B, S) values of one coefficient."""
         return self.values[..., COEFFICIENTS.index(name)]

@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import Field, PositiveInt
+from pydantic import Field, PositiveInt, create_model
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.quantities import (
     CONDITION,
     Angle,
-    AnyDamping,
-    AnyStiffness,
     Length,
     ModelledLoad,
     ShaftAngle,
     check_clearance,
+    define_coefficients,
 )
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
@@ -262,18 +261,12 @@ class SpeedTableConfig(_Bearing):
         return np.stack([np.interp(rpm, rows[:, 0], column) for column in rows[:, 1:].T], axis=1)
 
 
-class LinearBearingConfig(_Bearing):
+class LinearBearingConfig(
+    create_model(  # type: ignore[misc]
+        "_Linear", __base__=_Bearing, kind=(Literal["linear"], ...), **define_coefficients(0.0)
+    )
+):
     """A support with the same coefficients at every speed."""
-
-    kind: Literal["linear"]
-    kxx: AnyStiffness = 0.0
-    kxy: AnyStiffness = 0.0
-    kyx: AnyStiffness = 0.0
-    kyy: AnyStiffness = 0.0
-    cxx: AnyDamping = 0.0
-    cxy: AnyDamping = 0.0
-    cyx: AnyDamping = 0.0
-    cyy: AnyDamping = 0.0
 
     changes: ClassVar[bool] = False
 

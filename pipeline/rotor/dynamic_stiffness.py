@@ -74,13 +74,10 @@ def _locate(wanted: np.ndarray, dof: np.ndarray) -> np.ndarray:
 
 
 def _columns(matrix: np.ndarray, bandwidth: int) -> np.ndarray:
-    size = len(matrix)
-    stored = np.zeros((size, 2 * bandwidth + 1))
-    for offset in range(-bandwidth, bandwidth + 1):
-        diagonal = np.diagonal(matrix, offset)
-        first = max(offset, 0)
-        stored[first : first + len(diagonal), bandwidth - offset] = diagonal
-    return stored
+    """(m, 2 u + 1): of each column the rows of the band, zero beyond the matrix."""
+    columns = np.arange(len(matrix))[:, None]
+    beyond = np.pad(matrix, ((bandwidth, bandwidth), (0, 0)))
+    return np.ascontiguousarray(beyond[columns + np.arange(2 * bandwidth + 1), columns])
 
 
 def solve(

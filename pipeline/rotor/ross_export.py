@@ -81,12 +81,10 @@ def make_bearings(bearings: BearingTable, links: Mapping[int, int]) -> list[Any]
     """
     rs, made = ross(), []
     for node, values in zip(bearings.nodes, bearings.values, strict=True):
-        columns: dict[str, Any] = {}
-        constant = bool((values == values[0]).all())
-        for name, column in zip(COEFFICIENTS, values.T, strict=True):
-            columns[name] = float(column[0]) if constant else column.tolist()
-        if not constant:
-            columns["frequency"] = bearings.speeds.tolist()
+        columns: dict[str, Any] = dict(zip(COEFFICIENTS, values.T.tolist(), strict=True))
+        columns["frequency"] = bearings.speeds.tolist()
+        if (values == values[0]).all():
+            columns = dict(zip(COEFFICIENTS, values[0].tolist(), strict=True))
         made.append(rs.BearingElement(node, **columns, n_link=links.get(node), tag=f"bearing at node {node}"))
     return made
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from pipeline.config.loader import RESULTS, STAGES
+from pipeline.config.loader import RESULTS
 from pipeline.errors import IdentifiabilityError, PipelineError
 from pipeline.reporting.console import say, warn
 from pipeline.stages.analysis import Analysis
@@ -29,8 +29,6 @@ def run(analysis: Analysis) -> StageRecord:
         analysis.run("report")
         raise
     for stage, file in RESULTS.items():
-        if stage not in STAGES:
-            continue
         try:
             analysis.run(stage)
             made.append(work.folder / file)

@@ -242,7 +242,7 @@ def _list_starts(
     run_up: RunUp, degree: int, count: int, apart: tuple[float, ...] = (0.95, 0.98, 1.02, 1.05, 1.1)
 ) -> list[np.ndarray]:
     """Where modes are looked for: the first at the peak, a second one ``apart``, over the frequency of the first."""
-    reading = read_peak(run_up.speeds, _average(np.abs(run_up.vectors), 3))
+    reading = read_smoothed_peak(run_up, 3)
     if reading is None:
         raise DataError(
             "a run-up must have a peak with half its power on both sides, but the largest amplitude of "
@@ -264,12 +264,10 @@ def _weigh(residual: np.ndarray, parameters: int, tau: float) -> float:
     return independent * np.log(mean) + parameters * np.log(independent)
 
 
-def _average(values: np.ndarray, rows: int) -> np.ndarray:
-    """(S,) the mean of ``rows`` rows around each; at the ends of those that there are."""
-    total, counts = (np.convolve(each, np.ones(rows), "same") for each in (values, np.ones(len(values))))
-    return np.asarray(total / counts)
-
-
 def read_smoothed_peak(run_up: RunUp, rows: int) -> SteadyReading | None:
-    """The steady reading of the amplitude's mean over ``rows`` rows; None without a peak."""
-    return read_peak(run_up.speeds, _average(np.abs(run_up.vectors), rows))
+    """The steady reading of the amplitude's mean over ``rows`` rows, at the ends those that there are; None without a
+    peak.
+    """
+    both = np.abs(run_up.vectors), np.ones(len(run_up.vectors))
+    total, counts = (np.convolve(each, np.ones(rows), "same") for each in both)
+    return read_peak(run_up.speeds, total / counts)

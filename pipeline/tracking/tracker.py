@@ -58,12 +58,10 @@ _begun: dict[tuple[str, str], tuple[MlflowClient, Run, set[str]]] = {}
 @contextmanager
 def recorder_beside(enabled: bool) -> Iterator[None]:
     """Stages of the block are logged by another process, which is ready when the first of them ends."""
-    if not enabled:
-        yield
-        return
     with ExitStack() as ends:
-        _running.append(_ask_shared(ends) or _start(ends))
-        ends.callback(_running.pop)
+        if enabled:
+            _running.append(_ask_shared(ends) or _start(ends))
+            ends.callback(_running.pop)
         yield
 
 

@@ -200,13 +200,12 @@ def _of_nodes(measurement: Measurement) -> Iterator[Mistake]:
         channels = {
             node: [p for p, (measured_node, _) in enumerate(data.channels) if measured_node == node] for node in (a, b)
         }
-        if len(channels[a]) != len(channels[b]):
-            continue
-        yield Mistake(
-            f"the probes of node {a} and those of node {b} are exchanged",
-            "which cables come from which bearing, and from which end the nodes count",
-            exchange(measurement, zip(channels[a], channels[b], strict=True), 1),
-        )
+        if len(channels[a]) == len(channels[b]):
+            yield Mistake(
+                f"the probes of node {a} and those of node {b} are exchanged",
+                "which cables come from which bearing, and from which end the nodes count",
+                exchange(measurement, zip(channels[a], channels[b], strict=True), 1),
+            )
 
 
 # --- runs and weights ------------------------------------------------------------------------------
