@@ -28,7 +28,7 @@ STATEMENTS = {
     "parameters": 458,
     "sweep": 245,
     "ingest": 1670,
-    "problem": 1520,
+    "problem": 1522,
     "identification": 2957,
     "evaluation": 216,
     "twin": 499,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18838, 14500),
+    "statements of pipeline/": (18840, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
-    "bindings named by empty words": (116, 200),
-    "statements of tests/": (13631, 13000),
+    "bindings named by empty words": (117, 200),
+    "statements of tests/": (13639, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (771, 380),
     "their files": (111, 75),

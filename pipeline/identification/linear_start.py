@@ -38,10 +38,10 @@ def linear_start(training: Measurement, features: np.ndarray, scale: np.ndarray,
     if expansion is None:
         return None
     residual = linear_residual(expansion.equations, less.unknowns, less.known)
-    values = _combine(whiten(residual, expansion.force_covariance), features, scale)
+    values = _combine(whiten(residual, expansion.force_root), features, scale)
     for _ in range(rounds - 1):
-        covariance = expansion.residual_covariance(less.response, less.table(values))
-        values = _combine(whiten(residual, covariance), features, scale)
+        root = expansion.residual_root(less.response, less.table(values))
+        values = _combine(whiten(residual, root), features, scale)
     return values
 
 

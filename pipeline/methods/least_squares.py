@@ -35,8 +35,9 @@ from pipeline.problem.noise import (
     bearing_rows,
     least_squares_deviation,
     linear_deviation,
+    lower_root,
     member_rows,
-    residual_covariance,
+    residual_root,
     residual_sensitivity,
     whiten,
 )
@@ -93,7 +94,7 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
     refuse_undetermined(judge_identifiability(expansion.equations, residual, options.constant))
     values, _ = per_speed_least_squares(residual)
     for _ in range(2):
-        white = whiten(residual, expansion.residual_covariance(data.response, data.table(values)))
+        white = whiten(residual, expansion.residual_root(data.response, data.table(values)))
         values, _ = per_speed_least_squares(white)
     return make_estimate(data, values, least_squares_deviation(white))
 
@@ -112,14 +113,14 @@ def solve_total(data: Measurement, options: MethodOptions, rounds: int = 4) -> E
     columns = bearing_rows(data.rotor, data.dataset, data.unknowns)  # (S, R, 2 B, U, P)
     derivative = np.concatenate([columns, offset[:, :, :, None]], axis=3)
     for _ in range(rounds):
-        covariance = _estimate_covariance(data, values)
-        values = _solve(data, whiten(residual, covariance), derivative, covariance)
-    return make_estimate(data, values, least_squares_deviation(whiten(residual, _estimate_covariance(data, values))))
+        root = _estimate_root(data, values)
+        values = _solve(data, whiten(residual, root), derivative, root)
+    return make_estimate(data, values, least_squares_deviation(whiten(residual, _estimate_root(data, values))))
 
 
-def _estimate_covariance(data: Measurement, values: np.ndarray) -> np.ndarray:
-    """(S, R, 2 B, 2 B) N^2, of the residual near unknowns (M, S, U)."""
-    return residual_covariance(data.rotor, data.dataset, data.table(values), data.deviation)
+def _estimate_root(data: Measurement, values: np.ndarray) -> np.ndarray:
+    """(S, R, 2 B, P) N, of the covariance of the residual near unknowns (M, S, U)."""
+    return residual_root(data.rotor, data.dataset, data.table(values), data.deviation)
 
 
 def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
@@ -132,23 +133,23 @@ def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
 
 def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
-    covariance = _estimate_covariance(data, values)
+    root = _estimate_root(data, values)
     return np.array(
         [
-            linear_deviation(weights, covariance[:, :, rows[:, None], rows])
+            linear_deviation(weights, root[:, :, rows])
             for weights, rows in zip(inverse, member_rows(data.unknowns), strict=True)
         ]
     )
 
 
-def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _solve(data: Measurement, white: LinearResidual, derivative: np.ndarray, root: np.ndarray) -> np.ndarray:
     """(M, S, U) from whitened rows: the smallest generalised singular vector of ``[A y]`` and its noise."""
     members = member_rows(data.unknowns)
     values = np.zeros((len(members), *white.matrix.shape[1::2]))
     noise = data.deviation.swapaxes(1, 2)[:, :, None, None]  # (S, R, 1, 1, P)
     for m, member in enumerate(members):
         present = np.append(white.unknowns.present[m], True)
-        factor = np.linalg.cholesky(covariance[:, :, member[:, None], member])
+        factor = lower_root(root[:, :, member])
         errors = (derivative[:, :, member][:, :, :, present] * noise).reshape(*factor.shape[:3], -1)
         errors = np.linalg.solve(factor, errors).reshape(*factor.shape[:3], int(present.sum()), -1)
         spread = np.einsum("sriup,srivp->suv", errors.conj(), errors, optimize=True).real

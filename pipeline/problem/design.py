@@ -30,7 +30,7 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.simulate import add_noise
 from pipeline.problem.law_information import law_rows
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.noise import least_squares_deviation, residual_root, whiten
 from pipeline.problem.ranking import find_least
 from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, invert, prior_information, stack_rows
@@ -95,14 +95,16 @@ def exchange(
 # --- what a set of runs would give -------------------------------------------------------------------
 
 
-def plan_covariance(plan: Measurement) -> np.ndarray:
-    """(S, R, 2 B, 2 B) N^2, of the residual; a ``plan`` is simulated on the prior, which it has as known bearings."""
-    return residual_covariance(plan.rotor, plan.dataset, plan.known, plan.deviation)
+def plan_root(plan: Measurement) -> np.ndarray:
+    """(S, R, 2 B, P) N, of the covariance of the residual; a ``plan`` is simulated on the prior, which it has as known
+    bearings.
+    """
+    return residual_root(plan.rotor, plan.dataset, plan.known, plan.deviation)
 
 
-def whiten_plan(plan: Measurement, dataset: VibrationDataset, covariance: np.ndarray) -> LinearResidual:
+def whiten_plan(plan: Measurement, dataset: VibrationDataset, root: np.ndarray) -> LinearResidual:
     """The weighted equations of a ``dataset`` of the planned runs."""
-    return whiten(linear_residual(bearing_equations(plan.rotor, dataset), plan.unknowns, plan.known), covariance)
+    return whiten(linear_residual(bearing_equations(plan.rotor, dataset), plan.unknowns, plan.known), root)
 
 
 def unknown_sizes(plan: Measurement, floor: float = 0.01) -> np.ndarray:
@@ -116,14 +118,14 @@ def unknown_sizes(plan: Measurement, floor: float = 0.01) -> np.ndarray:
 
 def predict_deviations(plan: Measurement) -> dict[str, float]:
     """Bearing and unknown -> predicted standard deviation of least squares over size, median over speed."""
-    return _medians(plan, least_squares_deviation(whiten_plan(plan, plan.dataset, plan_covariance(plan))))
+    return _medians(plan, least_squares_deviation(whiten_plan(plan, plan.dataset, plan_root(plan))))
 
 
 def simulate_deviations(plan: Measurement, count: int, generator: np.random.Generator) -> dict[str, float]:
     """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
-    covariance = plan_covariance(plan)
+    root = plan_root(plan)
     fits = [
-        per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), covariance))[0]
+        per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), root))[0]
         for _ in range(count)
     ]
     return _medians(plan, np.array(fits).std(axis=0, ddof=1))

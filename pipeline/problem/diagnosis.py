@@ -29,7 +29,7 @@ from pipeline.problem.identifiability import (
     unit_columns,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_root, whiten
 from pipeline.problem.residual import linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
@@ -68,8 +68,8 @@ def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     """By the residual; ``constant`` where the coefficients are the same at every speed. Raises DataError."""
     reports = judge_identifiability(measurement.equations, measurement.residual, constant)
     answer = measurement.table(per_speed_least_squares(measurement.residual)[0])
-    covariance = residual_covariance(measurement.rotor, measurement.dataset, answer, measurement.deviation)
-    spread = least_squares_deviation(whiten(measurement.residual, covariance))
+    root = residual_root(measurement.rotor, measurement.dataset, answer, measurement.deviation)
+    spread = least_squares_deviation(whiten(measurement.residual, root))
     return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
 
 
@@ -88,7 +88,7 @@ def diagnose_response(
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
     reports = judge_identifiability(expansion.equations, residual, constant)
     answer = whole.table(per_speed_least_squares(residual)[0])
-    spread = least_squares_deviation(whiten(residual, expansion.residual_covariance(whole.response, answer)))
+    spread = least_squares_deviation(whiten(residual, expansion.residual_root(whole.response, answer)))
     return Diagnosis(reports, Deviations(answer, whole.unknowns.expand_deviation(spread), BY_ITSELF))
 
 

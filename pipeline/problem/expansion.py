@@ -36,15 +36,15 @@ class Expansion:
 
     equations: BearingEquations
     receptance: np.ndarray  # a_bb of every run, (S, R, 2 B, 2 B)
-    force_covariance: np.ndarray  # of f, (S, R, 2 B, 2 B) N^2
+    force_root: np.ndarray  # of the covariance of f, (S, R, 2 B, P) N
 
-    def residual_covariance(self, equations: ResponseEquations, bearings: BearingTable) -> np.ndarray:
-        """(S, R, 2 B, 2 B) complex, N^2: ``dr = (I + dH a_bb) df``, near the ``bearings``."""
-        result = np.empty_like(self.force_covariance)
+    def residual_root(self, equations: ResponseEquations, bearings: BearingTable) -> np.ndarray:
+        """(S, R, 2 B, P) complex, N, of the covariance: ``dr = (I + dH a_bb) df``, near the ``bearings``."""
+        result = np.empty_like(self.force_root)
         for block in equations.films:
             change = equations.change(bearings, block)[:, None]
             factor = np.eye(change.shape[-1]) + change @ self.receptance[:, block.runs]
-            result[:, block.runs] = factor @ self.force_covariance[:, block.runs] @ factor.conj().swapaxes(-1, -2)
+            result[:, block.runs] = factor @ self.force_root[:, block.runs]
         return result
 
 
@@ -65,7 +65,7 @@ def expand(
         return None
     force = np.empty((n_speeds, n_runs, count), dtype=complex)
     displacements, receptance = np.empty_like(force), np.empty((n_speeds, n_runs, count, count), dtype=complex)
-    covariance = np.empty_like(receptance)
+    root = np.empty((n_speeds, n_runs, count, n_channels), dtype=complex)
     for block in equations.films:
         here = np.isfinite(deviation[:, :, block.runs]).all(axis=1)[..., None]  # (S, R, 1)
         weight = 1.0 / np.where(here, deviation[:, :, block.runs].swapaxes(1, 2), 1.0)  # (S, R, P)
@@ -79,15 +79,13 @@ def expand(
         solved = (inverse @ off[..., None])[..., 0]  # (S, R, 2 B)
         motion = block.forced_bearings.swapaxes(1, 2) + solved @ block.receptance_bearings.swapaxes(1, 2)
         force[:, block.runs], displacements[:, block.runs] = np.where(here, solved, 0.0), np.where(here, motion, 0.0)
-        covariance[:, block.runs] = np.where(
-            here[..., None], inverse @ inverse.conj().swapaxes(2, 3), UNMEASURED * np.eye(count)
-        )
+        root[:, block.runs] = np.where(here[..., None], inverse, UNMEASURED * np.eye(count, n_channels))
         receptance[:, block.runs] = block.receptance_bearings[:, None]
     force, displacements = force.swapaxes(1, 2), displacements.swapaxes(1, 2)
     return Expansion(
         bearing_equations_of(equations, force - equations.reference * displacements, displacements),
         receptance,
-        covariance,
+        root,
     )
 
 

@@ -26,23 +26,31 @@ from pipeline.unknowns import UnknownSet
 
 DEPENDENT = 1e-10
 """Ratio of singular values below which data in double precision can't tell equations apart."""
-UNMEASURED = 1e40
-"""N^2: the covariance of the forces of a run that was not measured. Whitened by it, a row of any force vanishes."""
+UNMEASURED = 1e20
+"""N: the deviation of the forces of a run that was not measured. Whitened by it, a row of any force vanishes."""
 
 
-def residual_covariance(
+def residual_root(
     rotor: RotorModel, dataset: VibrationDataset, bearings: BearingTable, deviation: np.ndarray
 ) -> np.ndarray:
-    """(S, R, 2 B, 2 B) complex, N^2: covariance of the residual at the bearings, the runs being independent.
+    """(S, R, 2 B, P) complex, N: root L of the covariance L L^H of the residual at the bearings, the runs being
+    independent.
 
-    ``bearings`` are the best at hand (identified, or a prior); ``deviation`` (S, P, R) m is circular noise.
+    ``bearings`` are the best at hand (identified, or a prior); ``deviation`` (S, P, R) m is circular noise. A product
+    with itself would lose half of the digits, and be no covariance where bearings are far off.
     """
     here = np.isfinite(deviation).all(axis=1)  # (S, R) of runs that were measured
     known = np.where(here[:, None], deviation, 0.0)
-    scaled = residual_sensitivity(rotor, dataset, bearings) * known.swapaxes(1, 2)[:, :, None]
-    covariance = np.asarray(scaled @ scaled.conj().swapaxes(2, 3))
-    covariance[~here] += UNMEASURED * np.eye(covariance.shape[-1])
-    return covariance
+    root = residual_sensitivity(rotor, dataset, bearings) * known.swapaxes(1, 2)[:, :, None]
+    root[~here] = UNMEASURED * np.eye(*root.shape[2:])
+    return np.asarray(root)
+
+
+def lower_root(root: np.ndarray) -> np.ndarray:
+    """Cholesky's factor (.., n, n) of ``root root^H``, of a root (.., n, P)."""
+    lower = np.asarray(np.linalg.qr(root.conj().swapaxes(-1, -2), mode="r")).conj().swapaxes(-1, -2)
+    diagonal = np.einsum("...ii->...i", lower).conj()
+    return np.asarray(lower * (diagonal / np.abs(diagonal))[..., None, :])
 
 
 def residual_sensitivity(
@@ -81,10 +89,10 @@ def bearing_rows(rotor: RotorModel, dataset: VibrationDataset, unknowns: Unknown
     return result
 
 
-def whiten(residual: LinearResidual, covariance: np.ndarray) -> LinearResidual:
+def whiten(residual: LinearResidual, root: np.ndarray) -> LinearResidual:
     """The residual, (M, S, rows, ..), with rows of independent noise of unit deviation: its least squares is weighted.
 
-    ``covariance`` (S, R, 2 B, 2 B) N^2 is that of the residual.
+    ``root`` (S, R, 2 B, P) N is that of the residual's covariance.
     """
     n_bearings, n_speeds, n_rows, n_unknowns = residual.matrix.shape
     n_runs = n_rows // 4
@@ -94,8 +102,8 @@ def whiten(residual: LinearResidual, covariance: np.ndarray) -> LinearResidual:
     flat = rows.reshape(n_speeds, n_runs, 2 * n_bearings, -1)
     white = []
     for member in member_rows(residual.unknowns):
-        factor = np.linalg.cholesky(covariance[:, :, member[:, None], member])
-        unit = np.sqrt(2.0) * np.linalg.solve(factor, flat[:, :, member])  # half of the power is in the real part
+        # Half of the power is in the real part.
+        unit = np.sqrt(2.0) * np.linalg.solve(lower_root(root[:, :, member]), flat[:, :, member])
         unit = unit.reshape(n_speeds, -1, n_unknowns + 1)
         white.append(np.concatenate([unit.real, unit.imag], axis=1))
     stacked = np.stack(white)
@@ -107,17 +115,17 @@ def member_rows(unknowns: UnknownSet) -> np.ndarray:
     return np.arange(2 * len(unknowns.expansion)).reshape(unknowns.n_members, -1)
 
 
-def linear_deviation(inverse: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(S, V) standard deviation of ``v = -inverse y`` for a residual of this covariance (S, R, 2 B, 2 B).
+def linear_deviation(inverse: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """(S, V) standard deviation of ``v = -inverse y`` for a residual with this ``root`` (S, R, 2 B, P) of covariance.
 
     ``inverse`` is (S, V, rows) with the rows of :class:`LinearResidual`: bearing, real or imaginary, direction, run.
     """
-    n_speeds, n_runs, n_forces, _ = covariance.shape
+    n_speeds, n_runs, n_forces, _ = root.shape
     half = inverse.reshape(n_speeds, inverse.shape[1], n_forces // 2, 2, 2, n_runs)
     joined = (half[:, :, :, 0] - 1j * half[:, :, :, 1]).reshape(n_speeds, inverse.shape[1], n_forces, n_runs)
     # v moves by the real part of -joined * residual, which has half of the power.
-    variance = np.einsum("svir,srij,svjr->sv", joined, covariance, joined.conj(), optimize=True).real / 2
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    moved = np.einsum("svir,srip->svrp", joined, root)
+    return np.asarray(np.linalg.norm(moved, axis=(2, 3)) / np.sqrt(2.0))
 
 
 def least_squares_deviation(white: LinearResidual) -> np.ndarray:

@@ -24,7 +24,7 @@ from pipeline.identification.residual_loss import ResidualTraining, initial_para
 from pipeline.identification.training import setup_of
 from pipeline.problem.design import choose, merit
 from pipeline.problem.identifiability import Identifiability, Solvability, decompose, judge_identifiability
-from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.noise import least_squares_deviation, lower_root, residual_root, whiten
 from pipeline.problem.residual import (
     BearingEquations,
     LinearResidual,
@@ -284,9 +284,9 @@ def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> N
     assert losses[1] < 1e-3 * losses[0]
 
 
-def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, covariance: np.ndarray) -> LinearResidual:
+def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, root: np.ndarray) -> LinearResidual:
     """The weighted equations of a data set."""
-    return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), covariance)
+    return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), root)
 
 
 @pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
@@ -301,11 +301,11 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
         dataset = replace(dataset, channels=channels, displacement=dataset.displacement[:, kept])
     unknowns = everything((1, 5))
     deviation = NoiseModel(0.0, 1e-4).deviation(dataset.displacement)
-    covariance = residual_covariance(rotor_of.rotor, dataset, rotor_of.bearings, deviation)
-    predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, covariance))
+    root = residual_root(rotor_of.rotor, dataset, rotor_of.bearings, deviation)
+    predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, root))
     found = np.array(
         [
-            per_speed_least_squares(fits(rotor_of, add_noise(dataset, deviation, rng), unknowns, covariance))[0]
+            per_speed_least_squares(fits(rotor_of, add_noise(dataset, deviation, rng), unknowns, root))[0]
             for _ in range(200)
         ]
     )
@@ -315,13 +315,22 @@ def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     assert np.abs(bias).max() < 5  # deviations of the mean, over 60 speeds and sixteen coefficients
 
 
+def test_a_root_whitens_where_its_product_is_no_covariance(rng: np.random.Generator) -> None:
+    """Its factor is Cholesky's, and rows of nearly one direction, 1e-9 apart, stay apart."""
+    root = rng.standard_normal((5, 4, 6)) + 1j * rng.standard_normal((5, 4, 6))
+    np.testing.assert_allclose(lower_root(root), np.linalg.cholesky(root @ root.conj().swapaxes(1, 2)), rtol=1e-9)
+    root[:, 3] = root[:, 2] + 1e-9 * root[:, 3]
+    white = np.linalg.solve(lower_root(root), root)
+    np.testing.assert_allclose(white @ white.conj().swapaxes(1, 2), np.broadcast_to(np.eye(4), (5, 4, 4)), atol=1e-6)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(root @ root.conj().swapaxes(1, 2))
+
+
 def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
     table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
     dataset = simulate(rotor_of.rotor, table, UNBALANCES)
-    covariance = residual_covariance(
-        rotor_of.rotor, dataset, table, NoiseModel(0.0, 1e-3).deviation(dataset.displacement)
-    )
-    equations = fits(replace(rotor_of, bearings=table), dataset, everything(table.nodes), covariance)
+    root = residual_root(rotor_of.rotor, dataset, table, NoiseModel(0.0, 1e-3).deviation(dataset.displacement))
+    equations = fits(replace(rotor_of, bearings=table), dataset, everything(table.nodes), root)
     assert np.isinf(least_squares_deviation(equations)[0]).all()
 
 

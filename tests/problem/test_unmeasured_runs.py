@@ -14,7 +14,7 @@ from pipeline.data.simulate import simulate
 from pipeline.identification.fit import default_setup, fit
 from pipeline.identification.identified import answer_of
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import least_squares_deviation, residual_covariance, whiten
+from pipeline.problem.noise import least_squares_deviation, residual_root, whiten
 from pipeline.problem.residual import per_speed_least_squares
 
 
@@ -31,8 +31,8 @@ def test_least_squares_and_their_deviations_are_those_of_the_runs_that_were_meas
     gone, rest = np.array([1, 4]), np.array([0, 2, 3, 5])
 
     def solve(of: Measurement, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        covariance = residual_covariance(of.rotor, of.dataset, bearings.at(points), of.deviation)
-        return per_speed_least_squares(of.residual)[0], least_squares_deviation(whiten(of.residual, covariance))
+        root = residual_root(of.rotor, of.dataset, bearings.at(points), of.deviation)
+        return per_speed_least_squares(of.residual)[0], least_squares_deviation(whiten(of.residual, root))
 
     found, spread = solve(without(whole, gone, 1), np.arange(len(bearings.speeds)))
     for points, runs in ((gone, np.array([0])), (rest, np.array([0, 1]))):
