@@ -67,8 +67,8 @@ def _combine(
             solution = np.linalg.lstsq(rows.reshape(few[..., -1].size, -1), -few[..., -1].ravel(), rcond=1e-10)[0]
             outputs = features[m] @ solution.reshape(rows.shape[2], rows.shape[3]).T
             rest = np.einsum("sru,su->sr", matrix, outputs) + white.offset[m]
-            # A normal value's median modulus is 0.6745 of its deviation.
-            size = outlier * max(np.median(np.abs(rest)) / 0.6745, tiny)
+            # A normal value's median modulus is 0.6745 of its deviation. Rows of runs that were not measured are zero.
+            size = outlier * max(np.median(np.abs(rest[matrix.any(axis=2)])) / 0.6745, tiny)
             weight = np.sqrt(np.minimum(1.0, size / np.maximum(np.abs(rest), tiny)))
         values[m][:, present] = outputs * scale[m, present]
     return values
