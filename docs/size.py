@@ -21,13 +21,13 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1731,
-    "laws": 497,
+    "config": 1734,
+    "laws": 493,
     "rotor": 743,
     "data": 1069,
-    "parameters": 458,
+    "parameters": 455,
     "sweep": 245,
-    "ingest": 1670,
+    "ingest": 1675,
     "problem": 1522,
     "identification": 2957,
     "evaluation": 216,
@@ -41,12 +41,12 @@ STATEMENTS = {
     "reporting": 2517,
     "tracking": 348,
     "stages": 1106,
-    "beside the rooms": 573,
+    "beside the rooms": 578,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18840, 14500),
+    "statements of pipeline/": (18846, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
@@ -55,7 +55,7 @@ BUDGETS = {
     "bindings named by empty words": (117, 200),
     "statements of tests/": (13640, 13000),
     "words of docs/ beside the reference": (30000, 30000),
-    "functions entered by ingest and train of measured_demo": (771, 380),
+    "functions entered by ingest and train of measured_demo": (773, 380),
     "their files": (111, 75),
 }
 """Measure -> the most that it may be, and what it is to become."""

@@ -35,6 +35,18 @@ def list_places(names: Sequence[str]) -> list[int]:
     return [PLACES[name] for name in names]
 
 
+def stand_in_series(values: np.ndarray, speeds: np.ndarray, pedestal: np.ndarray) -> np.ndarray:
+    """(.., S, 8) coefficients (.., S, 8) as a shaft feels them at its own frequency, ``speeds`` (S,) rad/s, on
+    pedestals h (.., S) N/m: ``(Z^-1 + 1/h)^-1``.
+
+    Both are springs in series: no vibration of the shaft tells one from the other.
+    """
+    parts, w = values.reshape(*values.shape[:-1], 2, 2, 2), speeds[:, None, None]
+    film, ground = parts[..., 0, :, :] + 1j * w * parts[..., 1, :, :], pedestal[..., None, None] * np.eye(2)
+    felt = ground @ np.linalg.solve(ground + film, film)
+    return np.stack([felt.real, felt.imag / w], axis=-3).reshape(values.shape)
+
+
 def to_coordinates(values: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """(.., S, 8) coordinates of coefficients (.., S, 8), N/m and N s/m, at ``speeds`` (S,) rad/s."""
     kxx, kxy, kyx, kyy = np.moveaxis(values[..., :4], -1, 0)

@@ -41,7 +41,9 @@ AS_MODELLED = "bearings"
 
 
 class KnownConfig(
-    create_model("_Known", __base__=Section, **define_coefficients(None))  # type: ignore[misc]
+    create_model(  # type: ignore[misc]  # a key for each of the eight coefficients
+        "_Known", __base__=Section, **define_coefficients(None)
+    )
 ):
     """Known coefficients of every bearing that do not change with the speed, such as ``{cxy: 0 N s/m}``."""
 

@@ -72,20 +72,24 @@ def look_up(composed: Mapping[str, Any], key: str) -> Any:
     return node if isinstance(node, Mapping) else {}
 
 
-def get_value(config: Config, key: str, *default: Any) -> Any:
-    """Return the value of a dotted key: a model of another kind has others.
-
-    :raises ConfigError: where there is none, and no ``default`` in its place
-    """
+def get_value(config: Config, key: str) -> Any:
+    """Return the value of a dotted key. Raises ConfigError where there is none."""
     try:
         return attrgetter(key)(config)
     except AttributeError:
-        if default:
-            return default[0]
         raise ConfigError(
             f"tuning.space must name keys of the configuration, but '{key}' is not one of {config.name}: "
             "choose another search space, such as tuning=network or tuning=constant"
         ) from None
+
+
+def has_value(config: Config, key: str) -> bool:
+    """Tell whether the configuration has the dotted key: a model of another kind has others."""
+    try:
+        get_value(config, key)
+    except ConfigError:
+        return False
+    return True
 
 
 def read_promoted(folder: Path) -> PromotedTrial | None:
@@ -134,7 +138,7 @@ def apply_promoted(config: Config, overrides: Sequence[str]) -> Config:
         update={
             "promoted": PromotedConfig(
                 **dict(promoted),
-                configured={key: value for key in in_force if (value := get_value(config, key, "")) != ""},
+                configured={key: get_value(config, key) for key in in_force if has_value(config, key)},
                 in_force=in_force,
                 overridden={key: value for key, value in promoted.values.items() if key not in in_force},
             )

@@ -103,24 +103,9 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
         present=present,
     )
     dataset = recorded
-    counts = [
-        *zip(
-            labels, (min(len(t.speeds) for t in run.tracks.values()) for run in runs), present.sum(axis=0), strict=True
-        )
-    ]
-    asked = config.speeds.rad_s() if config.speeds else speeds
-    if present.sum() < len(asked) * len(labels):
-        notes.append(
-            f"not every run was measured at each of the {len(asked)} speeds: "
-            + ", ".join(f"'{label}' at {count}" for label, _, count in counts)
-            + "; what is not there is left out, not extrapolated"
-        )
-    if stretched := [f"'{label}' from {rows} to {count}" for label, rows, count in counts if rows < count]:
-        notes.append(
-            f"runs were interpolated to more speeds than they were measured at ({', '.join(stretched)}), and what is "
-            "between them may be wrong near a resonance: give machine.recordings.speeds a larger step_rpm, or null to "
-            "take each run at its own speeds"
-        )
+    asked = len(config.speeds.rpm()) if config.speeds else len(speeds)
+    rows = [min(len(track.speeds) for track in run.tracks.values()) for run in runs]
+    notes += _note_counts(labels, rows, present.sum(axis=0).tolist(), asked)
     if conditions:
         names = [run.name for run in config.runs]
         dataset, merged = to_points(recorded, names, conditions, config.same_conditions)
@@ -203,6 +188,25 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             runout = complex(vectors.mean())
         tracks[probe] = Track(track.speeds, track.vectors - runout)
     return replace(run, tracks=tracks)
+
+
+def _note_counts(labels: Sequence[str], rows: Sequence[int], counts: Sequence[int], asked: int) -> list[str]:
+    """Runs that lack some of the speeds ``asked``, and those that were interpolated to more than their ``rows``."""
+    notes = []
+    if sum(counts) < asked * len(labels):
+        notes.append(
+            f"not every run was measured at each of the {asked} speeds: "
+            + ", ".join(f"'{label}' at {count}" for label, count in zip(labels, counts, strict=True))
+            + "; what is not there is left out, not extrapolated"
+        )
+    told = zip(labels, rows, counts, strict=True)
+    if stretched := [f"'{label}' from {few} to {count}" for label, few, count in told if few < count]:
+        notes.append(
+            f"runs were interpolated to more speeds than they were measured at ({', '.join(stretched)}), and what is "
+            "between them may be wrong near a resonance: give machine.recordings.speeds a larger step_rpm, or null to "
+            "take each run at its own speeds"
+        )
+    return notes
 
 
 def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.impedance import to_coordinates
+from pipeline.impedance import stand_in_series, to_coordinates
 from pipeline.laws.short_bearing import short_table
 from pipeline.laws.table import read_film_table
 
@@ -100,22 +100,19 @@ def stand_on_ground(
     stiffer: tuple[float, float] = (6.0, 1.5),
     above: tuple[float, float] = (3.0, 0.7),
 ) -> np.ndarray:
-    """(n, K, 8) drawn bearings as the shaft feels them on pedestals ``h = k - w^2 m``: ``(Z^-1 + 1/h)^-1``.
+    """(n, K, 8) drawn bearings as the shaft feels them on pedestals ``h = k - w^2 m``.
 
     Medians and deviations of logarithms: how many times ``stiffer`` a pedestal is than its bearing, the largest of
     |Zxx| and |Zyy| over the speed, and how far ``above`` the highest speed it resonates by itself.
     """
-    count, n_speeds = coefficients.shape[:2]
-    matrices = coefficients.reshape(count, n_speeds, 2, 2, 2)
-    film = matrices[:, :, 0] + 1j * speeds[:, None, None] * matrices[:, :, 1]
-    size = np.abs(np.diagonal(film, axis1=2, axis2=3)).max(axis=(1, 2))
     ratio, resonance = (
-        median * np.exp(deviation * generator.standard_normal(count)) for median, deviation in (stiffer, above)
+        median * np.exp(deviation * generator.standard_normal(len(coefficients)))
+        for median, deviation in (stiffer, above)
     )
-    ground = (size * ratio)[:, None] * (1 - (speeds / speeds[-1] / np.maximum(resonance, 1.2)[:, None]) ** 2)
-    pedestal = ground[..., None, None] * np.eye(2)
-    felt = pedestal @ np.linalg.solve(pedestal + film, film)
-    return np.stack([felt.real, felt.imag / speeds[:, None, None]], axis=2).reshape(coefficients.shape)
+    direct = np.hypot(coefficients[..., [0, 3]], speeds[:, None] * coefficients[..., [4, 7]])
+    stiffness = direct.max(axis=(1, 2)) * ratio
+    share = speeds / speeds[-1] / np.maximum(resonance, 1.2)[:, None]
+    return stand_in_series(coefficients, speeds, stiffness[:, None] * (1 - share**2))
 
 
 def make_priors(

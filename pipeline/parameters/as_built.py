@@ -19,6 +19,7 @@ from pipeline.config.section import NonNegativeInt, Section, Share, rule
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import integrate, simulate
+from pipeline.impedance import stand_in_series
 from pipeline.parameters.model import ModelParameter, update_rotor
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -97,17 +98,11 @@ def build_rotor(rotor: RotorConfig, built: AsBuiltConfig) -> RotorModel:
 
 
 def stand_on_pedestals(bearings: BearingTable, built: AsBuiltConfig) -> BearingTable:
-    """The bearings as the shaft feels them at its own frequency, on pedestals ``h = k - w^2 m``: ``(H^-1 + 1/h)^-1``.
-
-    Film and pedestal are springs in series: no vibration of the shaft tells one from the other.
-    """
+    """The bearings as the shaft feels them on pedestals ``h = k - w^2 m``."""
     if not built.pedestal_stiffness:
         return bearings
-    film, w = bearings.impedance(), bearings.speeds[:, None, None]
-    pedestal = (built.pedestal_stiffness - w**2 * (built.pedestal_mass or 0.0)) * np.eye(2)
-    felt = pedestal @ np.linalg.solve(pedestal + film, film)
-    parts = [felt.real.reshape(*felt.shape[:2], 4), (felt.imag / w).reshape(*felt.shape[:2], 4)]
-    return replace(bearings, values=np.concatenate(parts, axis=-1))
+    pedestal = built.pedestal_stiffness - bearings.speeds**2 * (built.pedestal_mass or 0.0)
+    return replace(bearings, values=stand_in_series(bearings.values, bearings.speeds, pedestal))
 
 
 def simulate_as_built(

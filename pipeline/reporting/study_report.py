@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.config.promotion import get_value
+from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.evaluation.errors import find_worst_mean, measure_errors
 from pipeline.identification.identified import IdentifiedModel
@@ -287,7 +287,7 @@ def _explain_limits(report: StudyReport) -> list[str]:
 
 
 def _list_values(report: StudyReport) -> str:
-    before = {key: get_value(report.config, key, "-") for key in report.best.values}
+    before = {k: get_value(report.config, k) if has_value(report.config, k) else "-" for k in report.best.values}
     changed = {key: value for key, value in report.best.values.items() if before[key] != value}
     rows = [[f"`{key}`", write_value(before[key]), write_value(value)] for key, value in changed.items()]
     return format_markdown(["value", "default", "chosen"], rows).rstrip() if rows else ""

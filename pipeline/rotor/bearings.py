@@ -262,7 +262,7 @@ class SpeedTableConfig(_Bearing):
 
 
 class LinearBearingConfig(
-    create_model(  # type: ignore[misc]
+    create_model(  # type: ignore[misc]  # a key for each of the eight coefficients
         "_Linear", __base__=_Bearing, kind=(Literal["linear"], ...), **define_coefficients(0.0)
     )
 ):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.promotion import get_value
+from pipeline.config.promotion import get_value, has_value
 from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.errors import IdentifiabilityError
@@ -47,8 +47,8 @@ def say_promoted(config: Config) -> None:
         f"{write_value(losses.configured)}: medians over the seeds of the study",
     ]
     if promoted.overridden:
-        values = {key: get_value(config, key, "") for key in promoted.overridden}
-        now = ", ".join(f"{key}={write_value(value)}" for key, value in values.items() if value != "") or "none"
+        given = [key for key in promoted.overridden if has_value(config, key)]
+        now = ", ".join(f"{key}={write_value(get_value(config, key))}" for key in given) or "none"
         phrases.append(f"given on the command line instead of tuned: {now}")
     say("\n".join(phrases))
 

@@ -374,8 +374,8 @@ def test_the_real_kinds_are_the_likeliest(
     study: Any, tmp_path: Path, seed: int, trouble: str, kinds: tuple[str, str]
 ) -> None:
     """Narrower priors, that of tilting pads, explain less on the first machine; on the second the real kinds were the
-    likeliest without tolerances of probes, and were dropped before they had any. The third stands on pedestals; what
-    stands on a rolling bearing feels a spring in any case.
+    likeliest without tolerances of probes, and were dropped before they had any. The third stands on pedestals. A
+    rolling bearing on one is a spring again, so that on the second machine either ground may be the likelier.
     """
     study["ordinary"].write_user_files(tmp_path, study["draw"].draw_machine(seed, trouble=trouble), 0.01, seed)
     config = compose_config([f"machine.file={tmp_path / 'machine.yaml'}", "tracking=none", f"output={tmp_path}/answer"])
