@@ -21,8 +21,8 @@ from pipeline.identification.noise_estimate import autocorrelation, measure_whit
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError
 from pipeline.problem.condition_noise import NAMED
+from pipeline.problem.identifiability import judge_identifiability
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.residual import per_speed_least_squares
 
 MISMATCH = 0.05
 """Deviations less probable than this speak against the model: of a right one, they do so in one of twenty data sets."""
@@ -62,14 +62,14 @@ def residual_quality(measurement: Measurement, identified: IdentifiedModel) -> Q
     equations = measurement.equations
     impedance = identified.table(measurement.known).impedance(measurement.dataset.frequencies)
     size = np.abs(equations.free_residual).mean()
-    _, condition = per_speed_least_squares(measurement.residual)
-    every = np.broadcast_to(condition, (len(equations.bearing_nodes), condition.shape[1]))
+    reports = judge_identifiability(equations, measurement.residual, constant=False)
     return Quality(
         {
             "residual": {"mean_over_bearing_force": float(np.abs(equations.residual(impedance)).mean() / size)},
             "condition_number": {
-                str(node): {"median": finite(np.median(c)), "max": finite(c.max())}
-                for node, c in zip(equations.bearing_nodes, every, strict=True)
+                str(node): {"median": finite(np.median(report.condition)), "max": finite(report.condition.max())}
+                for report in reports
+                for node in report.nodes
             },
         }
     )

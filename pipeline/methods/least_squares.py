@@ -50,7 +50,7 @@ def solve_plain(data: Measurement, options: MethodOptions) -> Estimate:
     Noise in the displacements is in A, too, which biases the answer (errors in variables).
     """
     members = require_residual(data, options).by_member()
-    values, _ = per_speed_least_squares(members)
+    values = per_speed_least_squares(members)
     return make_estimate(
         data, values, _propagate_noise(data, values, _invert(members, np.zeros(members.matrix.shape[:2])))
     )
@@ -92,10 +92,10 @@ def solve_expanded(data: Measurement, options: MethodOptions) -> Estimate:
         raise Refusal("forces_not_seen", f"they are at {describe_sensors(data)}")
     residual = linear_residual(expansion.equations, data.unknowns, data.known)
     refuse_undetermined(judge_identifiability(expansion.equations, residual, options.constant))
-    values, _ = per_speed_least_squares(residual)
+    values = per_speed_least_squares(residual)
     for _ in range(2):
         white = whiten(residual, expansion.residual_root(data.response, data.table(values)))
-        values, _ = per_speed_least_squares(white)
+        values = per_speed_least_squares(white)
     return make_estimate(data, values, least_squares_deviation(white))
 
 
@@ -107,7 +107,7 @@ def solve_total(data: Measurement, options: MethodOptions, rounds: int = 4) -> E
     depend on the answer: they are made again in each of the ``rounds``.
     """
     residual = require_residual(data, options)
-    values, _ = per_speed_least_squares(residual)
+    values = per_speed_least_squares(residual)
     # (S, R, 2 B, U + 1, P) of [A y] by the displacements: unknowns first, then the offset.
     offset = residual_sensitivity(data.rotor, data.dataset, data.table(np.zeros_like(values)))  # (S, R, 2 B, P)
     columns = bearing_rows(data.rotor, data.dataset, data.unknowns)  # (S, R, 2 B, U, P)

@@ -125,7 +125,7 @@ def simulate_deviations(plan: Measurement, count: int, generator: np.random.Gene
     """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
     root = plan_root(plan)
     fits = [
-        per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), root))[0]
+        per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), root))
         for _ in range(count)
     ]
     return _medians(plan, np.array(fits).std(axis=0, ddof=1))

@@ -67,7 +67,7 @@ class Diagnosis:
 def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     """By the residual; ``constant`` where the coefficients are the same at every speed. Raises DataError."""
     reports = judge_identifiability(measurement.equations, measurement.residual, constant)
-    answer = measurement.table(per_speed_least_squares(measurement.residual)[0])
+    answer = measurement.table(per_speed_least_squares(measurement.residual))
     root = residual_root(measurement.rotor, measurement.dataset, answer, measurement.deviation)
     spread = least_squares_deviation(whiten(measurement.residual, root))
     return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
@@ -87,7 +87,7 @@ def diagnose_response(
         return _diagnose_few_sensors(whole, *suppose(whole))
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
     reports = judge_identifiability(expansion.equations, residual, constant)
-    answer = whole.table(per_speed_least_squares(residual)[0])
+    answer = whole.table(per_speed_least_squares(residual))
     spread = least_squares_deviation(whiten(residual, expansion.residual_root(whole.response, answer)))
     return Diagnosis(reports, Deviations(answer, whole.unknowns.expand_deviation(spread), BY_ITSELF))
 

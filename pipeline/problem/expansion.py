@@ -125,7 +125,7 @@ def update_unknowns(data: Measurement, values: np.ndarray, measured: np.ndarray,
         displacements[..., block.runs] = motion
         force[..., block.runs] = unknown[..., 0].swapaxes(1, 2) - _product(impedance, motion)
     equations_at = bearing_equations_of(equations, force, displacements)
-    return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))[0]
+    return per_speed_least_squares(linear_residual(equations_at, data.unknowns, data.known))
 
 
 def filter_bearings(

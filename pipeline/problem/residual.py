@@ -160,24 +160,13 @@ def decompose_columns(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, 
     return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
 
 
-def per_speed_least_squares(residual: LinearResidual) -> tuple[np.ndarray, np.ndarray]:
-    """The conventional answer (Tiwari, Lees, Friswell 2002): each speed by itself.
-
-    Returns:
-        Unknowns (M, S, U) that minimise ``|A p + y|``, N/m and N s/m, zero where a member lacks one, and condition
-        numbers (M, S) of A with columns of unit length: stiffness and damping differ by orders of magnitude, and the
-        condition number should speak of the orbits rather than of the units. It is infinite for fewer rows than
-        unknowns.
+def per_speed_least_squares(residual: LinearResidual) -> np.ndarray:
+    """The conventional answer (Tiwari, Lees, Friswell 2002), each speed by itself: unknowns (M, S, U) that minimise
+    ``|A p + y|``, N/m and N s/m, zero where a member lacks one.
     """
     residual = residual.by_member()
     left, singular, right, length = decompose_columns(residual)
     usable = singular > singular[..., :1] * np.finfo(float).eps * residual.matrix.shape[2]
     inverse = np.where(usable, 1.0 / np.where(usable, singular, 1.0), 0.0)
     projected = np.einsum("bsru,bsr->bsu", left, residual.offset) * inverse
-    scaled = -np.einsum("bsuv,bsu->bsv", right, projected)
-    condition = np.full(singular.shape[:2], np.inf)
-    for m, count in enumerate(residual.unknowns.present.sum(axis=1)):
-        if count <= singular.shape[2]:  # an unknown that a member lacks is a singular value of zero that does not count
-            with np.errstate(divide="ignore"):
-                condition[m] = singular[m, :, 0] / singular[m, :, count - 1] if count else 1.0
-    return scaled / length, condition
+    return np.asarray(-np.einsum("bsuv,bsu->bsv", right, projected) / length)

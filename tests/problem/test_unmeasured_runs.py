@@ -32,7 +32,7 @@ def test_least_squares_and_their_deviations_are_those_of_the_runs_that_were_meas
 
     def solve(of: Measurement, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         root = residual_root(of.rotor, of.dataset, bearings.at(points), of.deviation)
-        return per_speed_least_squares(of.residual)[0], least_squares_deviation(whiten(of.residual, root))
+        return per_speed_least_squares(of.residual), least_squares_deviation(whiten(of.residual, root))
 
     found, spread = solve(without(whole, gone, 1), np.arange(len(bearings.speeds)))
     for points, runs in ((gone, np.array([0])), (rest, np.array([0, 1]))):
