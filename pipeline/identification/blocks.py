@@ -276,6 +276,17 @@ def slopes_by_weights(by_outputs: torch.Tensor, by_numbers: torch.Tensor, carrie
     return np.asarray(torch.cat([by_functions, by_numbers], dim=-1).numpy())
 
 
+def carry_covariance(covariance: np.ndarray, carrier: np.ndarray) -> np.ndarray:
+    """(S, A + Th, A + Th) covariance of outputs and numbers of laws at each speed, from (Z, Z) of the weights of
+    functions, of which ``carrier`` (A, S, K) has those of each unknown, and of the numbers (Z = A K + Th).
+    """
+    (n_active, n_speeds, size), count = carrier.shape, carrier.shape[0] * carrier.shape[2]
+    by_weight = carrier @ covariance[:count].reshape(n_active, size, -1)  # (A, S, Z)
+    rows = np.concatenate([by_weight, covariance[count:, None].repeat(n_speeds, axis=1)]).swapaxes(0, 1)
+    parts = rows[..., :count].reshape(n_speeds, -1, n_active, size)
+    return np.concatenate([np.einsum("sabk,bsk->sab", parts, carrier), rows[..., count:]], axis=-1)
+
+
 def law_term(laws: LawSet, unknowns: UnknownSet, points: Mapping[str, np.ndarray]) -> LawTerm:
     """The laws for the members' unknowns. Raises ConfigError for bearings that share their coefficients."""
     if laws and unknowns.shared:

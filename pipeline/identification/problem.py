@@ -37,6 +37,7 @@ from pipeline.identification.blocks import (
     LawTerm,
     Places,
     Prior,
+    carry_covariance,
     law_term,
     select_active,
     slopes_by_weights,
@@ -356,9 +357,10 @@ class OutputError(LeastSquares):
 
     def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
-        slopes, count = self.unknown_slopes(weights), self.places.numbers.stop
-        spread = self.covariance(weights)[:, :count, :count]
-        return np.asarray(np.sqrt(np.einsum("gsaz,gzy,gsay->gsa", slopes, spread, slopes, optimize=True)))
+        count, carrier = self.places.numbers.stop, self._carrier.numpy()
+        slopes = np.concatenate(self.unknowns(weights)[1:], axis=-1)  # (G, S, A, A + Th)
+        spread = np.stack([carry_covariance(each[:count, :count], carrier) for each in self.covariance(weights)])
+        return np.asarray(np.sqrt(np.einsum("gsax,gsax->gsa", slopes @ spread, slopes)))
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""

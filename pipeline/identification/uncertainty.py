@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.errors import DataError
 from pipeline.files import write_beside
-from pipeline.identification.blocks import Places, law_term, select_active, slopes_by_weights
+from pipeline.identification.blocks import Places, carry_covariance, law_term, select_active, slopes_by_weights
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.inputs import points_of
 from pipeline.identification.model_error import (
@@ -63,18 +63,22 @@ class Uncertainty:
         """(B, S, 8, A (K + L) + Th) derivative of the coefficients by the weights of features and local functions, and
         by the numbers of bearing laws.
         """
+        points, unknowns = points_of(speeds, operating), self.identified.unknowns
+        return unknowns.expand_slopes(slopes_by_weights(*self._slopes(points), self._carrier(points))[0])
+
+    def _slopes(self, points: Mapping[str, np.ndarray]) -> tuple[torch.Tensor, torch.Tensor]:
+        """(1, S, A, A) and (1, S, A, Th) derivative of the active unknowns by the outputs and the numbers of laws."""
+        every = (array[None] for array in self.identified.corrected(points))
+        return select_active(self.identified.unknowns.active, *every)[1:]
+
+    def _carrier(self, points: Mapping[str, np.ndarray]) -> torch.Tensor:
+        """(A, S, K + L) derivative of the outputs by the weights."""
         import torch
 
-        identified, points = self.identified, points_of(speeds, operating)
-        model, unknowns = identified.model, identified.unknowns
-        with torch.no_grad():
-            features = model.features(identified.parameters, model.scaled_inputs(points))
-            basis = features @ torch.as_tensor(self.weights)  # (M, S, K)
-            local = torch.as_tensor(evaluate_local(model, points, self.n_local)).expand(*basis.shape[:2], -1)
-            carrier = torch.cat([basis, local], dim=-1)[[m for m, _ in unknowns.active]]
-            every = (array[None] for array in identified.corrected(points))
-            _, by_outputs, by_numbers = select_active(unknowns.active, *every)
-            return unknowns.expand_slopes(slopes_by_weights(by_outputs, by_numbers, carrier)[0])
+        model = self.identified.model
+        basis = model.features(self.identified.parameters, model.scaled_inputs(points)) @ torch.as_tensor(self.weights)
+        local = torch.as_tensor(evaluate_local(model, points, self.n_local)).expand(*basis.shape[:2], -1)
+        return torch.cat([basis, local], dim=-1)[[m for m, _ in self.identified.unknowns.active]]
 
     def deviation(
         self,
@@ -94,12 +98,12 @@ class Uncertainty:
         if identified.model.parametrisation == "impedance":
             return self._by_draws(points_of(speeds, operating), whole)
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
-            by_weights = self.sensitivity(speeds, operating)
-            outer = by_weights.shape[-1]
-            variance = np.einsum("bscz,bscz->bsc", by_weights @ whole[:outer, :outer], by_weights)
+            points, unknowns = points_of(speeds, operating), identified.unknowns
+            slopes = unknowns.expand_slopes(np.concatenate(self._slopes(points), axis=-1)[0])  # (B, S, 8, A + Th)
+            variance = np.einsum("bscx,bscx->bsc", slopes @ self._spread(points, whole), slopes)
             deviation = np.sqrt(np.maximum(variance, 0.0))
-            unknowns, identified_values = identified.unknowns, identified.values(speeds, operating)
-            values = np.abs(unknowns.expand(identified_values[: unknowns.n_members], np.zeros_like(deviation)))
+            members = identified.values(speeds, operating)[: unknowns.n_members]
+            values = np.abs(unknowns.expand(members, np.zeros_like(deviation)))
             share = np.minimum(deviation / np.where(values > 0, values, np.inf), widest)
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
@@ -115,16 +119,12 @@ class Uncertainty:
         from scipy.special import ndtri
 
         identified, model = self.identified, self.identified.model
-        inputs = model.scaled_inputs(points)
-        basis = (model.features(identified.parameters, inputs) @ torch.as_tensor(self.weights)).numpy()  # (M, S, K)
-        n_functions, raw = basis.shape[-1], model.raw(identified.parameters, inputs)
+        raw, spreads = model.raw(identified.parameters, model.scaled_inputs(points)), self._spread(points, covariance)
         active = np.array(identified.unknowns.active)  # (A, 2) of (member, unknown)
         term, deviations = law_term(identified.laws, identified.unknowns, points), np.zeros(raw.shape)
-        for m in range(len(basis)):
+        for m in range(len(raw)):
             mine = np.flatnonzero(active[:, 0] == m)
-            places = (mine[:, None] * n_functions + np.arange(n_functions)).ravel()
-            block = covariance[np.ix_(places, places)].reshape(len(mine), n_functions, len(mine), n_functions)
-            spread = np.einsum("sk,ukvl,sl->suv", basis[m], block, basis[m], optimize=True)
+            spread = spreads[:, mine[:, None], mine]
             jitter = 1e-10 * np.trace(spread, axis1=1, axis2=2)[:, None, None] + 1e-30
             root = np.linalg.cholesky(spread + jitter * np.eye(len(mine)))  # (S, n, n)
             normal = ndtri(torch.quasirandom.SobolEngine(len(mine)).draw(2 * count, dtype=torch.float64)[1:].numpy())
@@ -135,6 +135,11 @@ class Uncertainty:
             low, high = np.quantile(every, [0.025, 0.975], axis=0)
             deviations[m] = np.maximum(high - every[0], every[0] - low) / NOMINAL_95
         return identified.unknowns.expand_deviation(deviations)
+
+    def _spread(self, points: Mapping[str, np.ndarray], covariance: np.ndarray) -> np.ndarray:
+        """(S, A + Th, A + Th) covariance of the outputs and of the numbers of laws."""
+        outer = self.places.numbers.stop
+        return carry_covariance(covariance[:outer, :outer], self._carrier(points).numpy())
 
     @property
     def without_tolerances(self) -> np.ndarray:

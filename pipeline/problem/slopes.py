@@ -98,12 +98,12 @@ def invert(information: np.ndarray | torch.Tensor) -> np.ndarray:
 
 def invert_root(information: np.ndarray) -> np.ndarray:
     """(Z, Z) ``root`` of the inverse ``root' root`` of (Z, Z), as :func:`invert` of it: in half the time."""
-    import torch
+    from scipy.linalg.lapack import dpotrf, dtrtri
 
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / size[:, None] / size
-    factor, failed = torch.linalg.cholesky_ex(torch.as_tensor(scaled))
+    factor, failed = dpotrf(scaled, lower=True)
     if not failed:
-        return np.asarray(torch.linalg.solve_triangular(factor, torch.as_tensor(np.diag(1 / size)), upper=False))
+        return np.asarray(dtrtri(factor, lower=True)[0] / size)
     values, vectors = np.linalg.eigh(scaled)
     return np.asarray((vectors / np.sqrt(np.maximum(values, 10 * np.finfo(float).eps))).T / size)
