@@ -223,6 +223,7 @@ class AnyRecordingsConfig(Section):
 
     def read_responses(self) -> tuple[FrequencyResponse, ...]:
         """The averages of each run, of recordings that are :attr:`by_frequency`. Raises DataError."""
+        # Callers ask for :attr:`by_frequency` first.
         raise NotImplementedError(f"recordings of format {self.format} have no measured force")
 
     def read_records(self, file: str | None = None) -> Records:

@@ -154,7 +154,11 @@ def linear_residual(equations: BearingEquations, unknowns: UnknownSet, known: Be
 
 
 def decompose_columns(members: LinearResidual) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Singular value decomposition of A, (M, S, rows, U), with columns of unit length, and these lengths (M, S, U)."""
+    """Singular value decomposition of A, (M, S, rows, U), with columns of unit length, and these lengths (M, S, U).
+
+    Stiffness and damping differ by orders of magnitude: so scaled, a condition number speaks of the orbits rather than
+    of the units.
+    """
     length = np.linalg.norm(members.matrix, axis=2)
     length = np.where(length > 0, length, 1.0)
     return *np.linalg.svd(members.matrix / length[:, :, None], full_matrices=False), length
