@@ -18,6 +18,7 @@ from pipeline.coefficients import COEFFICIENTS, is_stiffness
 from pipeline.data.coefficient_files import tabulate_coefficients
 from pipeline.data.operating import list_columns, name_state
 from pipeline.data.vibration_files import to_rpm
+from pipeline.problem.determination import Deviations
 from pipeline.rotor.bearing_table import BearingTable
 
 Units = Literal["si", "us"]
@@ -87,15 +88,27 @@ class Exported:
         """The unit of a coefficient."""
         return NAMES[self.units][0 if is_stiffness(name) else 1]
 
+    @property
+    def undetermined(self) -> list[str]:
+        """A line on what these data do not determine, such as ``kxx at node 1 below 775 rpm``; none where all is."""
+        if self.deviation is None:
+            return []
+        judged = Deviations(self.table, self.deviation, self.name).judge()
+        lost = ", ".join(f"{each.name} at node {each.node} {each.where}".strip() for each in judged if each.lost)
+        beside = f" ({self.state})" if self.operating else ""
+        return [f"Not determined by these data, stated for completeness{beside}: {lost}."] if lost else []
+
     def conventions(self) -> list[str]:
         """Lines for the head of a file."""
-        return [f"{self.title}: identified bearing coefficients, {' and '.join(NAMES[self.units])}", *CONVENTIONS]
+        units = " and ".join(NAMES[self.units])
+        return [f"{self.title}: identified bearing coefficients, {units}", *CONVENTIONS, *self.undetermined]
 
 
 def list_conventions(states: Sequence[Exported]) -> list[str]:
     """Lines for the head of what holds every state."""
     names = "; ".join(state.state for state in states if state.operating)
-    return [*replace(states[0], operating={}).conventions(), *([f"States: {names}."] if names else [])]
+    head = replace(states[0], operating={}, deviation=None).conventions()
+    return [*head, *([f"States: {names}."] if names else []), *(line for state in states for line in state.undetermined)]
 
 
 def tabulate(*states: Exported) -> dict[str, Any]:

@@ -213,10 +213,14 @@ def look_beside(
     the simpler problem may have dropped it. The rotor is solved at the best.
     """
     whitened, y, _ = _rank(whitened, y, kept)
+    tried: set[tuple[str, ...]] = set()
     for _ in range(turns):
         best = whitened.choices.families[0]
-        if not (beside := choices.beside(best)).families:
+        beside = choices.beside(best)
+        # Two of about the same evidence take turns at being the best, with the rotor solved at one or the other.
+        if best in tried or not beside.families:
             break
+        tried.add(best)
         whitened, y, _ = _rank(*_take_up(whitened, beside, y), kept)
         whitened, y, _ = _rank(whitened, whitened.minimise(y, 1e-4, steps=40), kept)
         if whitened.choices.families[0] == best:

@@ -126,9 +126,8 @@ def test_apdl(exported: Exported) -> None:
 
 
 def test_apdl_of_one_speed_has_constants(exported: Exported) -> None:
-    tables, constants, _ = interpret(
-        write_for("ansys.inp", replace(exported, table=exported.table.at(np.array([2]))), 0)
-    )
+    one = replace(exported, table=exported.table.at(np.array([2])), deviation=None)
+    tables, constants, _ = interpret(write_for("ansys.inp", one, 0))
     assert not tables
     order = [0, 3, 1, 2, 4, 7, 5, 6]
     found = np.array([float(word) for word in constants]) * scale(exported)

@@ -83,3 +83,14 @@ def test_formats_of_the_speed_alone_name_the_state(states: list[Exported]) -> No
     assert "toy, 70 degC, node 5" in write_for("dyrobes.txt", states[1], 1)
     assert list_conventions(states)[0].startswith("toy: identified")
     assert list_conventions(states)[-1] == "States: 45 degC; 70 degC."
+
+
+def test_what_is_not_determined_is_named_with_its_speeds(states: list[Exported]) -> None:
+    """A deviation of half of kxx below the third speed; the others are far below their coefficients."""
+    state, rpm = states[0], states[0].rpm
+    deviation = 1e-3 * np.abs(state.table.values)
+    deviation[1, :2, 0] = 0.5 * np.abs(state.table.values[1, :2, 0])
+    line = list_conventions([replace(state, deviation=deviation)])[-1]
+    assert line == (
+        f"Not determined by these data, stated for completeness (45 degC): kxx at node 5 below {rpm[2]:.4g} rpm."
+    )
