@@ -108,7 +108,11 @@ def list_conventions(states: Sequence[Exported]) -> list[str]:
     """Lines for the head of what holds every state."""
     names = "; ".join(state.state for state in states if state.operating)
     head = replace(states[0], operating={}, deviation=None).conventions()
-    return [*head, *([f"States: {names}."] if names else []), *(line for state in states for line in state.undetermined)]
+    return [
+        *head,
+        *([f"States: {names}."] if names else []),
+        *(line for state in states for line in state.undetermined),
+    ]
 
 
 def tabulate(*states: Exported) -> dict[str, Any]:

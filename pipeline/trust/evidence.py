@@ -24,7 +24,8 @@ from pipeline.twin.prediction import find_shares
 
 
 class Growth(NamedTuple):
-    """The largest real part of an eigenvalue over the speeds, 1/s; positive is unstable."""
+    """The largest real part of an eigenvalue, 1/s, at the first speed at which it is told from zero, or of all speeds;
+    positive is unstable."""
 
     largest_growth: float
     largest_growth_std: float
@@ -147,13 +148,10 @@ def find_growth(
     bearings, growing = answer.at(keep), measurement.select(keep)
     modes = find_modes(measurement.updated_rotor, bearings, count=0)  # the growth alone is asked
     deviation = deviate_modes(modes, growing, bearings, uncertainty).growth
-    unstable = [
-        rpm
-        for rpm, largest, spread in zip(to_rpm(bearings.speeds), modes.growth, deviation, strict=True)
-        if judge_growth(float(largest), float(spread)) is Stability.UNSTABLE
-    ]
-    s = int(modes.growth.argmax())
-    return Growth(float(modes.growth[s]), float(deviation[s]), float(unstable[0]) if unstable else None)
+    pairs = zip(modes.growth.tolist(), deviation.tolist(), strict=True)
+    unstable = [s for s, pair in enumerate(pairs) if judge_growth(*pair) is Stability.UNSTABLE]
+    s = unstable[0] if unstable else int(modes.growth.argmax())
+    return Growth(modes.growth[s].item(), deviation[s].item(), to_rpm(bearings.speeds)[s].item() if unstable else None)
 
 
 def find_missing_mode(
