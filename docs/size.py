@@ -28,14 +28,14 @@ STATEMENTS = {
     "parameters": 455,
     "sweep": 245,
     "ingest": 1675,
-    "problem": 1516,
-    "identification": 2962,
+    "problem": 1517,
+    "identification": 2959,
     "evaluation": 216,
-    "twin": 499,
+    "twin": 496,
     "balance": 670,
-    "trust": 703,
+    "trust": 702,
     "export": 161,
-    "methods": 552,
+    "methods": 551,
     "comparison": 116,
     "tuning": 487,
     "reporting": 2517,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18845, 14500),
+    "statements of pipeline/": (18838, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),

@@ -23,7 +23,7 @@ from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, list_leading, rank_indices
-from pipeline.problem.slopes import invert
+from pipeline.problem.slopes import deviate, invert
 
 if TYPE_CHECKING:
     import torch
@@ -115,7 +115,7 @@ def _try_runs(
     if not max(heaviest):
         return None
     run, top = rank_indices(heaviest)[0], float(data.speeds[-1])
-    before, tried = _deviation(information, direction), []
+    before, tried = float(deviate(direction, invert(information))), []
     for share in _SPEEDS:
         speeds = np.array([share * top])
         acting = tuple(excitation for excitation in data.excitations if excitation.run == data.runs[run])
@@ -135,10 +135,7 @@ def _try_runs(
         )
         # Its own problem has the priors again.
         gained = more.normal(weights)[1][0, 0] - more.prior.information
-        tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, direction)))
+        left = float(deviate(direction, invert(information + gained)))
+        tried.append(NextRun(data.runs[run], float(speeds[0]), left))
     best = tried[find_least({i: run_tried.deviation for i, run_tried in enumerate(tried)})]
     return best if best.deviation < WORTH * before else None
-
-
-def _deviation(information: torch.Tensor, direction: np.ndarray) -> float:
-    return float(np.sqrt(direction @ invert(information) @ direction))

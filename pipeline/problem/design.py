@@ -33,7 +33,7 @@ from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise import least_squares_deviation, residual_root, whiten
 from pipeline.problem.ranking import find_least
 from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
-from pipeline.problem.slopes import ReadingSlopes, invert, prior_information, stack_rows
+from pipeline.problem.slopes import ReadingSlopes, deviate, invert, prior_information, stack_rows
 
 Criterion = Literal["A", "D"]
 
@@ -159,8 +159,7 @@ class Candidates:
     def deviation(self, states: Sequence[int], runs: Sequence[int]) -> np.ndarray:
         """(S, A) relative standard deviations, from these runs in each of these states."""
         rows = self.rows[np.ix_(list(states), list(runs))].reshape(-1, len(self.prior))
-        covariance = invert(rows.T @ rows + np.diag(self.prior))
-        return np.asarray(np.sqrt(((self.slopes @ covariance) * self.slopes).sum(axis=-1)))
+        return deviate(self.slopes, invert(rows.T @ rows + np.diag(self.prior)))
 
     def medians(self, states: Sequence[int], runs: Sequence[int]) -> dict[str, float]:
         """Name -> relative standard deviation, median over the speed."""

@@ -19,6 +19,7 @@ from pipeline.identification.answer import restore
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import deviate
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,7 @@ class LinearisedFit:
 
     def deviate(self, covariance: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations of the coefficients, from a ``covariance`` (Z, Z) of the weights."""
-        variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, covariance, self.coefficients, optimize=True)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return deviate(self.coefficients, covariance)
 
 
 def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
