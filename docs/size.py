@@ -29,13 +29,13 @@ STATEMENTS = {
     "sweep": 245,
     "ingest": 1675,
     "problem": 1517,
-    "identification": 2959,
+    "identification": 2957,
     "evaluation": 216,
     "twin": 496,
     "balance": 670,
     "trust": 702,
     "export": 161,
-    "methods": 551,
+    "methods": 550,
     "comparison": 116,
     "tuning": 487,
     "reporting": 2517,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18838, 14500),
+    "statements of pipeline/": (18835, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),

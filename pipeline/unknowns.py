@@ -102,7 +102,9 @@ class UnknownSet:
         return result
 
     def expand(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """(B, S, 8) coefficients from unknowns (M, S, U) and, where nothing is identified, ``known`` (B, S, 8)."""
+        """(B, S, 8) coefficients from unknowns (M, S, U), or constants (M, 1, U), and, where nothing is identified,
+        ``known`` (B, S, 8).
+        """
         every = np.broadcast_to(values, (len(self.expansion), *values.shape[1:]))
         expanded = np.einsum("bcu,bsu->bsc", self.expansion, every)
         return np.where(self.identified[:, None], expanded, known)

@@ -107,8 +107,7 @@ def guess_bearings(measurement: Measurement) -> BearingTable:
     """Bearings of the size of the guess, :data:`UNEQUAL`."""
     unknowns = measurement.unknowns
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
-    sizes = (measurement.guess.sizes(unknowns) * shape)[:, None]
-    return measurement.table(np.repeat(sizes, len(measurement.dataset.speeds), axis=1))
+    return measurement.table((measurement.guess.sizes(unknowns) * shape)[:, None])
 
 
 def determines(rows: np.ndarray) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, CoefficientName
+from pipeline.coefficients import COEFFICIENTS, CoefficientName, is_direct
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
@@ -45,6 +45,10 @@ class Guess:
         """(M, U) N/m and N s/m, cross-coupled coefficients included."""
         size = {"k": self.stiffness, "c": self.damping}
         return np.tile([size[name[0]] for name in unknowns.names], (unknowns.n_members, 1))
+
+    def direct(self, unknowns: UnknownSet) -> np.ndarray:
+        """(M, U) the same with zero for cross-coupled coefficients, which have either sign."""
+        return self.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +239,7 @@ class Measurement:
         return replace(self, dataset=self.dataset.of_channels(kept), noise=noise, weighed=weighed, solved=None)
 
     def table(self, values: np.ndarray) -> BearingTable:
-        """All eight coefficients, from unknowns (M, S, U) and the known ones."""
+        """All eight coefficients, from unknowns (M, S, U), or constants (M, 1, U), and the known ones."""
         return self.known.with_unknowns(self.unknowns, values)
 
     def subtract_unbalance(self) -> Measurement:
