@@ -28,7 +28,7 @@ STATEMENTS = {
     "parameters": 455,
     "sweep": 245,
     "ingest": 1675,
-    "problem": 1517,
+    "problem": 1512,
     "identification": 2957,
     "evaluation": 216,
     "twin": 496,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18835, 14500),
+    "statements of pipeline/": (18830, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),

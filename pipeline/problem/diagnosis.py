@@ -26,6 +26,7 @@ from pipeline.problem.identifiability import (
     count_determined,
     decompose,
     judge_identifiability,
+    judge_rank,
     unit_columns,
 )
 from pipeline.problem.measurement import Measurement
@@ -175,20 +176,13 @@ def _judge_few_sensors(
     labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int, learnt: float = 1.0
 ) -> tuple[Solvability, str]:
     """``learnt`` is the deviation over size from which on a coefficient was not determined."""
-    wanted = len(labels)
-    if (rank == wanted).all():
-        return Solvability.IDENTIFIABLE, ""
-    sensors = "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
-    missing = int((rank < wanted).sum())
+    wanted, sensors = len(labels), "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
     unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > learnt]
-    if not unknown:
-        return (
-            Solvability.ACROSS_SPEEDS,
-            f"at {missing} of {len(rank)} speeds by themselves {sensors} not determine all {wanted} unknowns, but as "
-            "smooth functions of the speed they are determined",
-        )
-    return (
-        Solvability.NOT_IDENTIFIABLE,
+    return judge_rank(
+        rank,
+        wanted,
+        not unknown,
+        f"{sensors} not determine all {wanted} unknowns, but as smooth functions of the speed they are determined",
         f"{sensors} not determine more than {int(rank.max())} of {wanted} unknowns at a speed, and over all speeds "
         f"not {'one of them' if len(unknown) == wanted else ', '.join(unknown)}; add sensors, a run of another whirl "
         "or frequency, or a structure (identify.structure)",
