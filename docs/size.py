@@ -29,7 +29,7 @@ STATEMENTS = {
     "sweep": 245,
     "ingest": 1675,
     "problem": 1512,
-    "identification": 2957,
+    "identification": 2955,
     "evaluation": 216,
     "twin": 496,
     "balance": 670,
@@ -46,7 +46,7 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18830, 14500),
+    "statements of pipeline/": (18828, 14500),
     "files": (249, 250),
     "classes": (329, 260),
     "is None, is not None": (329, 420),
