@@ -24,7 +24,7 @@ STATEMENTS = {
     "config": 1734,
     "laws": 493,
     "rotor": 743,
-    "data": 1069,
+    "data": 1075,
     "parameters": 455,
     "sweep": 245,
     "ingest": 1675,

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.data.dataset import EVERYWHERE, Excitation, name_direction
+from pipeline.data.dataset import EVERYWHERE, Excitation
 from pipeline.identification.answer import restore
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS
@@ -112,11 +112,6 @@ def linearise(
     coefficients[..., : problem.places.numbers.stop] = by_number
     prior = problem.prior.information.numpy()[np.ix_(kept, kept)]
     return LinearisedFit(-columns[..., -1], columns[..., :-1], coefficients[..., kept], prior, fitted)
-
-
-def name_channels(measurement: Measurement) -> list[str]:
-    """What each channel is called."""
-    return [f"node {node} {name_direction(angle)}" for node, angle in measurement.dataset.channels]
 
 
 # --- which run would help a coefficient most ---------------------------------------------------------
