@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,8 +31,8 @@ from pipeline.problem.identifiability import (
     unit_columns,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_root, whiten
-from pipeline.problem.residual import linear_residual, per_speed_least_squares
+from pipeline.problem.noise import DEPENDENT, least_squares_deviation, whiten
+from pipeline.problem.residual import BearingEquations, LinearResidual, linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -67,10 +68,22 @@ class Diagnosis:
 
 def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     """By the residual; ``constant`` where the coefficients are the same at every speed. Raises DataError."""
-    reports = judge_identifiability(measurement.equations, measurement.residual, constant)
-    answer = measurement.table(per_speed_least_squares(measurement.residual))
-    root = residual_root(measurement.rotor, measurement.dataset, answer, measurement.deviation)
-    spread = least_squares_deviation(whiten(measurement.residual, root))
+    return _diagnose_least_squares(
+        measurement, measurement.equations, measurement.residual, constant, measurement.residual_root
+    )
+
+
+def _diagnose_least_squares(
+    measurement: Measurement,
+    equations: BearingEquations,
+    residual: LinearResidual,
+    constant: bool,
+    find_root: Callable[[BearingTable], np.ndarray],
+) -> Diagnosis:
+    """By the ``residual`` of the equations, with the root of its covariance near the bearings that solve it."""
+    reports = judge_identifiability(equations, residual, constant)
+    answer = measurement.table(per_speed_least_squares(residual))
+    spread = least_squares_deviation(whiten(residual, find_root(answer)))
     return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
 
 
@@ -87,10 +100,9 @@ def diagnose_response(
     if expansion is None:
         return _diagnose_few_sensors(whole, *suppose(whole))
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
-    reports = judge_identifiability(expansion.equations, residual, constant)
-    answer = whole.table(per_speed_least_squares(residual))
-    spread = least_squares_deviation(whiten(residual, expansion.residual_root(whole.response, answer)))
-    return Diagnosis(reports, Deviations(answer, whole.unknowns.expand_deviation(spread), BY_ITSELF))
+    return _diagnose_least_squares(
+        whole, expansion.equations, residual, constant, partial(expansion.residual_root, whole.response)
+    )
 
 
 # --- sensors too few for the forces at the bearings ---------------------------------------------------

@@ -23,6 +23,7 @@ from pipeline.parameters.model import ModelParameter, set_values, update_rotor
 from pipeline.parameters.probes import runout, sensor_matrix
 from pipeline.parameters.weights import update_excitations
 from pipeline.problem.condition_noise import NO_LEVELS
+from pipeline.problem.noise import residual_root
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
@@ -172,6 +173,12 @@ class Measurement:
     def residual(self) -> LinearResidual:
         """The residual in the unknowns. Raises as :attr:`equations`; IdentifiabilityError for a bearing at rest."""
         return linear_residual(self.equations, self.unknowns, self.known)
+
+    def residual_root(self, bearings: BearingTable) -> np.ndarray:
+        """(S, R, 2 B, P) N, of the covariance of the residual near the ``bearings``:
+        :func:`pipeline.problem.noise.residual_root`.
+        """
+        return residual_root(self.rotor, self.dataset, bearings, self.deviation)
 
     @cached_property
     def response(self) -> ResponseEquations:
