@@ -102,17 +102,17 @@ class UnknownSet:
         return result
 
     def expand(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """(B, S, 8) coefficients from unknowns (M, S, U) and, where nothing is identified, ``known`` (B, S, 8)."""
-        every = np.broadcast_to(values, (len(self.expansion), *values.shape[1:]))
-        expanded = np.einsum("bcu,bsu->bsc", self.expansion, every)
+        """(B, S, 8) coefficients from unknowns (M, S, U), or constants (M, 1, U), and, where nothing is identified,
+        ``known`` (B, S, 8).
+        """
+        expanded = values @ self.expansion.swapaxes(1, 2)
         return np.where(self.identified[:, None], expanded, known)
 
     def expand_deviation(self, deviation: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations from those of the unknowns (M, S, U); NaN where nothing is identified."""
-        every = np.broadcast_to(deviation, (len(self.expansion), *deviation.shape[1:]))
         # Each coefficient follows one unknown, with a sign that no deviation has. 0 x inf would be NaN.
         follows = np.abs(self.expansion).argmax(axis=2)  # (B, 8)
-        return np.where(self.identified[:, None], np.take_along_axis(every, follows[:, None, :], axis=2), np.nan)
+        return np.where(self.identified[:, None], np.take_along_axis(deviation, follows[:, None, :], axis=2), np.nan)
 
     def leading(self, values: np.ndarray) -> np.ndarray:
         """(M, S, U) unknowns from coefficients (B, S, 8): each is the coefficient that leads it; zero where absent."""

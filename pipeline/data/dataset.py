@@ -70,6 +70,11 @@ class VibrationDataset:
         object.__setattr__(self, "present", np.broadcast_to(mask, shape))
 
     @property
+    def channel_names(self) -> list[str]:
+        """What each channel is called."""
+        return [f"node {node} {name_direction(angle)}" for node, angle in self.channels]
+
+    @property
     def complete(self) -> bool:
         """Whether every run was measured everywhere."""
         return bool(self.present.all())
@@ -150,6 +155,14 @@ class VibrationDataset:
         """What acts in the run of this index, without its name: equal for runs that repeat each other, if their
         frequencies are."""
         return tuple(replace(excitation, run="") for excitation in self.excitations if excitation.run == self.runs[run])
+
+    def find_repeats(self, runs: np.ndarray) -> list[tuple[int, int]]:
+        """Places among the ``runs`` (indices of one frequency) of each that repeats another, and of the last of these
+        before it: by what acts in them.
+        """
+        acting = [self.excitation_of(int(run)) for run in runs]
+        again = [i for i, acts in enumerate(acting) if acts in acting[:i]]
+        return [(i, max(j for j in range(i) if acting[j] == acting[i])) for i in again]
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""

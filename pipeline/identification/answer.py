@@ -16,6 +16,7 @@ from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
 from pipeline.parameters.model import set_values
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import deviate
 
 if TYPE_CHECKING:
     import torch
@@ -146,9 +147,8 @@ def _correction(fit: OutputErrorFit) -> dict[str, dict[str, dict[str, float]]]:
     result: dict[str, dict[str, dict[str, float]]] = {}
     for a, (m, u) in enumerate(problem.active):
         features, columns = problem.features[m].numpy(), slice(a * count, (a + 1) * count)
-        variance = np.einsum("sk,kl,sl->s", features, spread[columns, columns], features)
-        size = {"percent": outputs[m, :, u] ** 2, "deviation_percent": variance}
+        size = {"percent": outputs[m, :, u], "deviation_percent": deviate(features, spread[columns, columns])}
         result.setdefault(str(problem.measurement.rotor.bearing_nodes[m]), {})[unknowns.names[u]] = {
-            name: float(100 * np.sqrt(squares.mean())) for name, squares in size.items()
+            name: float(100 * np.sqrt((values**2).mean())) for name, values in size.items()
         }
     return result

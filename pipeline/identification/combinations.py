@@ -23,7 +23,7 @@ from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.determination import measure_sizes
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.ranking import find_least, list_leading, rank_indices
-from pipeline.problem.slopes import invert
+from pipeline.problem.slopes import deviate, invert
 
 if TYPE_CHECKING:
     import torch
@@ -108,37 +108,22 @@ def _directions(relative: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarra
 def _try_runs(
     problem: OutputError, weights: torch.Tensor, information: torch.Tensor, direction: np.ndarray
 ) -> NextRun | None:
-    """The speed at which the run of the heaviest weights tells most of the direction ``along`` (Z,)."""
-    measurement = problem.measurement
-    data = measurement.dataset
+    """The speed at which the run of the heaviest weights tells most of the ``direction`` (Z,)."""
+    measurement, data = problem.measurement, problem.measurement.dataset
     heaviest = [sum(weight.magnitude for weight in data.excitation_of(r)) for r in range(len(data.runs))]
     if not max(heaviest):
         return None
-    run, top = rank_indices(heaviest)[0], float(data.speeds[-1])
-    before, tried = _deviation(information, direction), []
-    for share in _SPEEDS:
-        speeds = np.array([share * top])
-        acting = tuple(excitation for excitation in data.excitations if excitation.run == data.runs[run])
-        read = np.zeros((1, len(data.channels), 1), dtype=complex)
-        known = replace(measurement.known.at(np.array([-1])), speeds=speeds)
-        other = replace(
-            measurement,
-            dataset=VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting),
-            known=known,
-            drift=NO_LEVELS,
-        )
-        shown = output_error(other, problem.basis, problem.plane_scale).predicted(weights)[0][0].numpy()
-        more = output_error(
-            replace(other, dataset=replace(other.dataset, displacement=shown)),
-            problem.basis,
-            problem.plane_scale,
-        )
-        # Its own problem has the priors again.
-        gained = more.normal(weights)[1][0, 0] - more.prior.information
-        tried.append(NextRun(data.runs[run], float(speeds[0]), _deviation(information + gained, direction)))
-    best = tried[find_least({i: run_tried.deviation for i, run_tried in enumerate(tried)})]
-    return best if best.deviation < WORTH * before else None
-
-
-def _deviation(information: torch.Tensor, direction: np.ndarray) -> float:
-    return float(np.sqrt(direction @ invert(information) @ direction))
+    run, speeds = rank_indices(heaviest)[0], np.array(_SPEEDS) * data.speeds[-1]
+    acting = tuple(excitation for excitation in data.excitations if excitation.run == data.runs[run])
+    read = np.zeros((len(speeds), len(data.channels), 1), dtype=complex)
+    dataset = VibrationDataset(speeds, (data.runs[run],), data.channels, read, acting)
+    known = replace(measurement.known.at(np.full(len(speeds), -1)), speeds=speeds)
+    other = replace(measurement, dataset=dataset, known=known, drift=NO_LEVELS)
+    shown = output_error(other, problem.basis, problem.plane_scale).displacement(weights)
+    other = replace(other, dataset=replace(dataset, displacement=shown))
+    rows = output_error(other, problem.basis, problem.plane_scale).columns(weights)[0, :, :-1]
+    rows = rows.unflatten(0, (len(speeds), -1))  # of each speed
+    left = deviate(direction, invert(information + rows.mT @ rows))
+    s = find_least(dict(enumerate(left.tolist())))
+    worth_it = left[s] < WORTH * deviate(direction, invert(information))
+    return NextRun(data.runs[run], float(speeds[s]), float(left[s])) if worth_it else None

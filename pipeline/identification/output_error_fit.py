@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.data.dataset import Excitation
 from pipeline.errors import ConfigError
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.model_error import MeanSquareError, measure_error, noise_alone
@@ -232,14 +231,10 @@ def estimate_noise(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
         taken = problem.measurement.baseline[..., runs]
         deviation = problem.measurement.deviation_of(predicted[0].numpy() + taken, runs=runs)
         here = problem.readings.present(b).numpy()[:, 0] > 0  # (S, R)
-        last: dict[tuple[Excitation, ...], int] = {}  # runs of a block have the same frequencies
-        for r, run in enumerate(runs):
-            # By what is stated: a fitted weight of one run is not that of another.
-            before = last.get(key := problem.measurement.dataset.excitation_of(int(run)))
-            if before is not None:
-                both = here[:, r] & here[:, before]
-                squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])
-            last[key] = r
+        # By what is stated: a fitted weight of one run is not that of another. Runs of a block share their frequencies.
+        for r, before in problem.measurement.dataset.find_repeats(runs):
+            both = here[:, r] & here[:, before]
+            squares.append((np.abs((measured[..., r] - measured[..., before]) / deviation[..., r]) ** 2 / 2)[both])
     if not squares:
         return estimate_by_residuals(problem, weights)
     return np.asarray(np.sqrt(np.median(np.concatenate(squares), axis=0) / np.log(2.0)))

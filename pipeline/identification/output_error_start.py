@@ -215,12 +215,8 @@ def align_weights(measurement: Measurement) -> Measurement:
     at = [t for t, parameter in enumerate(measurement.parameters) if parameter.kind == "weight_angle"]
     if not at:
         return measurement
-    n_speeds, unknowns = len(measurement.dataset.speeds), measurement.unknowns
-    guess = measurement.guess.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
-    expected = (
-        measurement.response.predict(measurement.table(np.repeat(guess[:, None], n_speeds, axis=1)))
-        / measurement.deviation
-    )
+    guess = measurement.guess.direct(measurement.unknowns)[:, None]
+    expected = measurement.response.predict(measurement.table(guess)) / measurement.deviation
     shown = measurement.dataset.displacement / measurement.deviation
     turned = [run - run.mean(axis=2, keepdims=True) for run in (expected, shown)]
     angle = np.angle(np.vdot(turned[0], turned[1]))

@@ -48,7 +48,7 @@ from pipeline.identification.readings import Readings, SensorModel, gather_readi
 from pipeline.problem.baseline import find_baseline
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.response import join_runs
-from pipeline.problem.slopes import invert
+from pipeline.problem.slopes import deviate, invert
 
 if TYPE_CHECKING:
     import torch
@@ -360,7 +360,7 @@ class OutputError(LeastSquares):
         count, carrier = self.places.numbers.stop, self._carrier.numpy()
         slopes = np.concatenate(self.unknowns(weights)[1:], axis=-1)  # (G, S, A, A + Th)
         spread = np.stack([carry_covariance(each[:count, :count], carrier) for each in self.covariance(weights)])
-        return np.asarray(np.sqrt(np.einsum("gsax,gsax->gsa", slopes @ spread, slopes)))
+        return deviate(slopes, spread)
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""

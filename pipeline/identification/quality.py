@@ -122,11 +122,8 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     )
     summary |= {name: _held_out(fit, other) for name, other in fit.start.held_out.items()}
     if estimated:
-        channels = fit.start.measurement.dataset.channels
-        summary["noise_factor"] = {
-            f"node {node} {name_direction(angle)}": float(f)
-            for (node, angle), f in zip(channels, fit.factor, strict=True)
-        }
+        names = fit.start.measurement.dataset.channel_names
+        summary["noise_factor"] = dict(zip(names, fit.factor.tolist(), strict=True))
         noise, size = fit.problem.measurement.noise, float(np.median(fit.factor))
         if not fit.problem.measurement.dataset.noise.any():
             floors = zip(FLOORS, (size * noise.largest_floor).tolist(), strict=True)
@@ -138,10 +135,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
 def _count_repeated(fit: OutputErrorFit) -> int:
     """Complex readings of runs that repeat an earlier run of the same fit: at the same frequencies, as a block has."""
     data, blocks = fit.problem.measurement.dataset, fit.problem.readings.runs
-    acting = [[data.excitation_of(r) for r in runs] for runs in blocks]
-    again = [
-        runs[i] for runs, every in zip(blocks, acting, strict=True) for i in range(len(runs)) if every[i] in every[:i]
-    ]
+    again = [runs[i] for runs in blocks for i, _ in data.find_repeats(runs)]
     return int(data.present[:, again].sum()) * len(data.channels)
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.coefficients import is_direct
 from pipeline.config.identification import LossConfig, OptimizerConfig, TrainingConfig
 from pipeline.config.models import ModelConfig
 from pipeline.errors import ConfigError
@@ -100,10 +99,9 @@ def phases(config: OptimizerConfig) -> tuple[str, ...]:
 def initial_guess(setup: FitSetup, unknowns: UnknownSet, stiffness: float | None = None) -> np.ndarray:
     """(M, U) starting values, N/m and N s/m: as configured, or ``stiffness`` for every direct stiffness.
 
-    Cross-coupled coefficients, which have either sign, start at zero.
+    Cross-coupled coefficients start at zero.
     """
-    guess = Guess(stiffness or setup.model.initial_stiffness, setup.model.initial_damping)
-    return guess.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
+    return Guess(stiffness or setup.model.initial_stiffness, setup.model.initial_damping).direct(unknowns)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

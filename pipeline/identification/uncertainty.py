@@ -30,6 +30,7 @@ from pipeline.identification.model_error import (
     widen,
 )
 from pipeline.identification.quality import Quality
+from pipeline.problem.slopes import deviate
 
 if TYPE_CHECKING:
     import torch
@@ -100,8 +101,7 @@ class Uncertainty:
         with np.errstate(over="ignore", invalid="ignore"):  # of coefficients that ran away
             points, unknowns = points_of(speeds, operating), identified.unknowns
             slopes = unknowns.expand_slopes(np.concatenate(self._slopes(points), axis=-1)[0])  # (B, S, 8, A + Th)
-            variance = np.einsum("bscx,bscx->bsc", slopes @ self._spread(points, whole), slopes)
-            deviation = np.sqrt(np.maximum(variance, 0.0))
+            deviation = deviate(slopes, self._spread(points, whole))
             members = identified.values(speeds, operating)[: unknowns.n_members]
             values = np.abs(unknowns.expand(members, np.zeros_like(deviation)))
             share = np.minimum(deviation / np.where(values > 0, values, np.inf), widest)

@@ -59,14 +59,12 @@ def to_vectors(
     amplitude: np.ndarray, phase: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense
 ) -> np.ndarray:
     """Complex V in SI units, zero-to-peak, of amplitudes in units of ``size`` and phases in rad (any shape)."""
-    sign = -1.0 if sense == "lag" else 1.0
-    with np.errstate(over="ignore"):  # what is too large for a number is no vibration, and refused as such
-        return amplitude * (size * _TO_PEAK[kind]) * np.exp(1j * sign * phase)
+    return to_lead(amplitude * np.exp(1j * phase), size, kind, sense)
 
 
 def to_lead(values: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
     """Complex V in SI units, zero-to-peak, of complex values in units of ``size``."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # what is too large for a number is no vibration, and refused as such
         return (values if sense == "lead" else values.conj()) * (size * _TO_PEAK[kind])
 
 

@@ -105,10 +105,9 @@ def _model_machines(
     equations = data.response
     bounds = np.log([prior.lowest_stiffness, prior.highest_stiffness])
     stiffness = np.exp(generator.uniform(bounds[0], bounds[1], (modelled, len(data.unknowns.names))))
-    shape = (data.unknowns.n_members, len(data.dataset.speeds), stiffness.shape[1])
     speeds = np.array(
         [
-            _find_crossings(data, equations.predict(data.table(np.broadcast_to(values, shape))), places)
+            _find_crossings(data, equations.predict(data.table(values[None, None])), places)  # at every speed
             for values in stiffness
         ]
     )

@@ -31,6 +31,7 @@ from pipeline.methods.method import (
 )
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
+from pipeline.rotor.bearing_table import BearingTable
 
 
 def identify_by_kriging(
@@ -87,12 +88,12 @@ def _count_points(active: int, each: int = 15) -> int:
 
 def _predict(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(S, P, R) m of one point (A,), the logarithms of the unknowns, the same at every speed."""
-    return measurement.response.predict(measurement.table(_repeat_unknowns(measurement, x)))
+    return measurement.response.predict(_tabulate(measurement, x))
 
 
-def _repeat_unknowns(measurement: Measurement, x: np.ndarray) -> np.ndarray:
-    """(M, S, U) of one point (A,)."""
-    return measurement.unknowns.from_active(np.repeat(np.exp(x)[None], len(measurement.dataset.speeds), axis=0))
+def _tabulate(measurement: Measurement, x: np.ndarray) -> BearingTable:
+    """The coefficients of one point (A,)."""
+    return measurement.table(measurement.unknowns.from_active(np.exp(x)[None]))
 
 
 def _match(measurement: Measurement, prior: PriorConfig, generator: np.random.Generator, rounds: int) -> np.ndarray:
@@ -188,7 +189,7 @@ def _evolve(
 
 def _bound_deviation(measurement: Measurement, x: np.ndarray) -> np.ndarray:
     """(A,) the Cramer-Rao bound of the readings that were matched."""
-    slopes = ReadingSlopes(measurement, measurement.table(_repeat_unknowns(measurement, x)))
+    slopes = ReadingSlopes(measurement, _tabulate(measurement, x))
     rows = np.sqrt(2) * stack_rows(slopes.by_unknown * np.exp(x)).reshape(-1, len(x))
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     return np.asarray(np.linalg.norm(np.linalg.pinv(rows / size), axis=1) / size)

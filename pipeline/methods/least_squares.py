@@ -37,7 +37,6 @@ from pipeline.problem.noise import (
     linear_deviation,
     lower_root,
     member_rows,
-    residual_root,
     residual_sensitivity,
     whiten,
 )
@@ -113,14 +112,11 @@ def solve_total(data: Measurement, options: MethodOptions, rounds: int = 4) -> E
     columns = bearing_rows(data.rotor, data.dataset, data.unknowns)  # (S, R, 2 B, U, P)
     derivative = np.concatenate([columns, offset[:, :, :, None]], axis=3)
     for _ in range(rounds):
-        root = _estimate_root(data, values)
+        root = data.residual_root(data.table(values))
         values = _solve(data, whiten(residual, root), derivative, root)
-    return make_estimate(data, values, least_squares_deviation(whiten(residual, _estimate_root(data, values))))
-
-
-def _estimate_root(data: Measurement, values: np.ndarray) -> np.ndarray:
-    """(S, R, 2 B, P) N, of the covariance of the residual near unknowns (M, S, U)."""
-    return residual_root(data.rotor, data.dataset, data.table(values), data.deviation)
+    return make_estimate(
+        data, values, least_squares_deviation(whiten(residual, data.residual_root(data.table(values))))
+    )
 
 
 def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
@@ -133,7 +129,7 @@ def _invert(members: LinearResidual, strength: np.ndarray) -> np.ndarray:
 
 def _propagate_noise(data: Measurement, values: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """(M, S, U) standard deviation that the stated noise implies for ``p = -inverse y``; (M, S, U, rows) inverse."""
-    root = _estimate_root(data, values)
+    root = data.residual_root(data.table(values))
     return np.array(
         [
             linear_deviation(weights, root[:, :, rows])

@@ -27,7 +27,7 @@ from pipeline.methods.method import (
 )
 from pipeline.parameters.kind import turns_with_rotor
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import DEPENDENT, linear_deviation, residual_root
+from pipeline.problem.noise import DEPENDENT, linear_deviation
 from pipeline.problem.residual import BearingEquations, bearing_equations, linear_residual
 
 
@@ -51,7 +51,7 @@ def identify_by_frequencies(measurement: Measurement, options: MethodOptions) ->
     inverse = np.linalg.pinv(matrix / length) / length.swapaxes(1, 2)
     answer = -np.einsum("svr,sr->sv", inverse, offset)  # (S, A + 2 N)
     values = unknowns.from_active(answer)
-    root = residual_root(data.rotor, dataset, data.table(values), data.deviation)
+    root = data.residual_root(data.table(values))
     deviation = unknowns.from_active(linear_deviation(inverse, root))
     text = f"{min(frequencies)} frequencies a speed"
     if planes:

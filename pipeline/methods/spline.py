@@ -35,6 +35,7 @@ from pipeline.methods.method import (
     require_determined,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import deviate
 from pipeline.unknowns import outputs_of
 
 if TYPE_CHECKING:
@@ -256,5 +257,4 @@ def bound_deviation(problem: OutputError, weights: torch.Tensor) -> np.ndarray:
     inverse = np.linalg.pinv(information[:, :n_active, :n_active], hermitian=True)
     carried = inverse @ across
     rest = np.linalg.pinv(by_pairs - (across.swapaxes(1, 2) @ carried).sum(axis=0), hermitian=True)
-    spread = slope @ (inverse + carried @ rest @ carried.swapaxes(1, 2)) @ slope.swapaxes(1, 2)
-    return np.sqrt(np.maximum(np.einsum("saa->sa", spread), 0.0))
+    return deviate(slope, inverse + carried @ rest @ carried.swapaxes(1, 2))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pipeline.data.dataset import Excitation, VibrationDataset, name_direction, synchronous
+from pipeline.data.dataset import Excitation, VibrationDataset, synchronous
 from pipeline.errors import ConfigError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
@@ -64,8 +64,7 @@ class Machine:
     @cached_property
     def probes(self) -> list[Place]:
         """Each channel."""
-        channels = enumerate(self.dataset.channels)
-        return [Place(f"node {node} {name_direction(angle)}", p) for p, (node, angle) in channels]
+        return [Place(name, p) for p, name in enumerate(self.dataset.channel_names)]
 
     @cached_property
     def probes_on_shaft(self) -> list[Place]:

@@ -25,15 +25,14 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.simulate import add_noise
 from pipeline.problem.law_information import law_rows
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import least_squares_deviation, residual_root, whiten
+from pipeline.problem.noise import least_squares_deviation, whiten
 from pipeline.problem.ranking import find_least
 from pipeline.problem.residual import LinearResidual, bearing_equations, linear_residual, per_speed_least_squares
-from pipeline.problem.slopes import ReadingSlopes, invert, prior_information, stack_rows
+from pipeline.problem.slopes import ReadingSlopes, deviate, invert, prior_information, stack_rows
 
 Criterion = Literal["A", "D"]
 
@@ -95,35 +94,32 @@ def exchange(
 # --- what a set of runs would give -------------------------------------------------------------------
 
 
-def plan_root(plan: Measurement) -> np.ndarray:
-    """(S, R, 2 B, P) N, of the covariance of the residual; a ``plan`` is simulated on the prior, which it has as known
-    bearings.
-    """
-    return residual_root(plan.rotor, plan.dataset, plan.known, plan.deviation)
-
-
 def whiten_plan(plan: Measurement, dataset: VibrationDataset, root: np.ndarray) -> LinearResidual:
-    """The weighted equations of a ``dataset`` of the planned runs."""
+    """The weighted equations of a ``dataset`` of the planned runs, whose residual has this ``root`` of covariance.
+
+    A ``plan`` is simulated on the prior, which it has as known bearings.
+    """
     return whiten(linear_residual(bearing_equations(plan.rotor, dataset), plan.unknowns, plan.known), root)
 
 
 def unknown_sizes(plan: Measurement, floor: float = 0.01) -> np.ndarray:
-    """(M, S, U) sizes of the unknowns; some cross zero: no less than a share ``floor`` of the largest of their kind."""
+    """(M, S, U) sizes of the unknowns, zero where a member lacks one; some cross zero: no less than a share ``floor``
+    of the largest of their kind.
+    """
     values = np.abs(plan.known.values)
     kinds = values.reshape(*values.shape[:2], 2, 4)
     least = np.repeat(floor * kinds.max(axis=-1), 4, axis=-1)
-    leaders = [COEFFICIENTS.index(name) for name in plan.unknowns.names]
-    return np.asarray(np.maximum(values, least)[: plan.unknowns.n_members][..., leaders])
+    return plan.unknowns.leading(np.maximum(values, least))
 
 
 def predict_deviations(plan: Measurement) -> dict[str, float]:
     """Bearing and unknown -> predicted standard deviation of least squares over size, median over speed."""
-    return _medians(plan, least_squares_deviation(whiten_plan(plan, plan.dataset, plan_root(plan))))
+    return _medians(plan, least_squares_deviation(whiten_plan(plan, plan.dataset, plan.residual_root(plan.known))))
 
 
 def simulate_deviations(plan: Measurement, count: int, generator: np.random.Generator) -> dict[str, float]:
     """The same, as the spread of ``count`` weighted least-squares fits to noisy data."""
-    root = plan_root(plan)
+    root = plan.residual_root(plan.known)
     fits = [
         per_speed_least_squares(whiten_plan(plan, add_noise(plan.dataset, plan.deviation, generator), root))
         for _ in range(count)
@@ -132,8 +128,8 @@ def simulate_deviations(plan: Measurement, count: int, generator: np.random.Gene
 
 
 def _medians(plan: Measurement, deviation: np.ndarray) -> dict[str, float]:
-    medians = np.median(deviation / unknown_sizes(plan), axis=1)
-    return {name: float(medians[place]) for name, place in zip(list_names(plan), plan.unknowns.active, strict=True)}
+    spread, sizes = (plan.unknowns.to_active(values) for values in (deviation, unknown_sizes(plan)))
+    return dict(zip(list_names(plan), np.median(spread / sizes, axis=0).tolist(), strict=True))
 
 
 def list_names(plan: Measurement) -> tuple[str, ...]:
@@ -159,8 +155,7 @@ class Candidates:
     def deviation(self, states: Sequence[int], runs: Sequence[int]) -> np.ndarray:
         """(S, A) relative standard deviations, from these runs in each of these states."""
         rows = self.rows[np.ix_(list(states), list(runs))].reshape(-1, len(self.prior))
-        covariance = invert(rows.T @ rows + np.diag(self.prior))
-        return np.asarray(np.sqrt(((self.slopes @ covariance) * self.slopes).sum(axis=-1)))
+        return deviate(self.slopes, invert(rows.T @ rows + np.diag(self.prior)))
 
     def medians(self, states: Sequence[int], runs: Sequence[int]) -> dict[str, float]:
         """Name -> relative standard deviation, median over the speed."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,11 +27,12 @@ from pipeline.problem.identifiability import (
     count_determined,
     decompose,
     judge_identifiability,
+    judge_rank,
     unit_columns,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.noise import DEPENDENT, least_squares_deviation, residual_root, whiten
-from pipeline.problem.residual import linear_residual, per_speed_least_squares
+from pipeline.problem.noise import DEPENDENT, least_squares_deviation, whiten
+from pipeline.problem.residual import BearingEquations, LinearResidual, linear_residual, per_speed_least_squares
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
@@ -66,10 +68,22 @@ class Diagnosis:
 
 def diagnose_residual(measurement: Measurement, constant: bool) -> Diagnosis:
     """By the residual; ``constant`` where the coefficients are the same at every speed. Raises DataError."""
-    reports = judge_identifiability(measurement.equations, measurement.residual, constant)
-    answer = measurement.table(per_speed_least_squares(measurement.residual))
-    root = residual_root(measurement.rotor, measurement.dataset, answer, measurement.deviation)
-    spread = least_squares_deviation(whiten(measurement.residual, root))
+    return _diagnose_least_squares(
+        measurement, measurement.equations, measurement.residual, constant, measurement.residual_root
+    )
+
+
+def _diagnose_least_squares(
+    measurement: Measurement,
+    equations: BearingEquations,
+    residual: LinearResidual,
+    constant: bool,
+    find_root: Callable[[BearingTable], np.ndarray],
+) -> Diagnosis:
+    """By the ``residual`` of the equations, with the root of its covariance near the bearings that solve it."""
+    reports = judge_identifiability(equations, residual, constant)
+    answer = measurement.table(per_speed_least_squares(residual))
+    spread = least_squares_deviation(whiten(residual, find_root(answer)))
     return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
 
 
@@ -86,10 +100,9 @@ def diagnose_response(
     if expansion is None:
         return _diagnose_few_sensors(whole, *suppose(whole))
     residual = linear_residual(expansion.equations, whole.unknowns, whole.known)
-    reports = judge_identifiability(expansion.equations, residual, constant)
-    answer = whole.table(per_speed_least_squares(residual))
-    spread = least_squares_deviation(whiten(residual, expansion.residual_root(whole.response, answer)))
-    return Diagnosis(reports, Deviations(answer, whole.unknowns.expand_deviation(spread), BY_ITSELF))
+    return _diagnose_least_squares(
+        whole, expansion.equations, residual, constant, partial(expansion.residual_root, whole.response)
+    )
 
 
 # --- sensors too few for the forces at the bearings ---------------------------------------------------
@@ -107,8 +120,7 @@ def guess_bearings(measurement: Measurement) -> BearingTable:
     """Bearings of the size of the guess, :data:`UNEQUAL`."""
     unknowns = measurement.unknowns
     shape = np.array([UNEQUAL[2 * (name[1] == "y") + (name[2] == "y")] for name in unknowns.names])
-    sizes = (measurement.guess.sizes(unknowns) * shape)[:, None]
-    return measurement.table(np.repeat(sizes, len(measurement.dataset.speeds), axis=1))
+    return measurement.table((measurement.guess.sizes(unknowns) * shape)[:, None])
 
 
 def determines(rows: np.ndarray) -> bool:
@@ -176,20 +188,13 @@ def _judge_few_sensors(
     labels: tuple[str, ...], rank: np.ndarray, relative: np.ndarray, n_channels: int, learnt: float = 1.0
 ) -> tuple[Solvability, str]:
     """``learnt`` is the deviation over size from which on a coefficient was not determined."""
-    wanted = len(labels)
-    if (rank == wanted).all():
-        return Solvability.IDENTIFIABLE, ""
-    sensors = "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
-    missing = int((rank < wanted).sum())
+    wanted, sensors = len(labels), "the only sensor does" if n_channels == 1 else f"the {n_channels} sensors do"
     unknown = [label for label, deviation in zip(labels, relative, strict=True) if deviation > learnt]
-    if not unknown:
-        return (
-            Solvability.ACROSS_SPEEDS,
-            f"at {missing} of {len(rank)} speeds by themselves {sensors} not determine all {wanted} unknowns, but as "
-            "smooth functions of the speed they are determined",
-        )
-    return (
-        Solvability.NOT_IDENTIFIABLE,
+    return judge_rank(
+        rank,
+        wanted,
+        not unknown,
+        f"{sensors} not determine all {wanted} unknowns, but as smooth functions of the speed they are determined",
         f"{sensors} not determine more than {int(rank.max())} of {wanted} unknowns at a speed, and over all speeds "
         f"not {'one of them' if len(unknown) == wanted else ', '.join(unknown)}; add sensors, a run of another whirl "
         "or frequency, or a structure (identify.structure)",

@@ -142,9 +142,8 @@ def filter_bearings(
         hopeless: share of the speeds that must settle from the first guess for others to be tried.
     """
     unknowns = measurement.unknowns
-    n_speeds, guess = len(measurement.dataset.speeds), measurement.guess.sizes(unknowns)
-    direct = np.array([is_direct(name) for name in unknowns.names])
-    start = np.repeat((guess * direct)[:, None], n_speeds, axis=1)
+    n_speeds, direct = len(measurement.dataset.speeds), np.array([is_direct(name) for name in unknowns.names])
+    start = np.repeat(measurement.guess.direct(unknowns)[:, None], n_speeds, axis=1)
     best, settled, least = start.copy(), np.zeros(n_speeds, dtype=bool), np.full(n_speeds, np.inf)
     for size in sizes:
         todo = np.flatnonzero(~(settled & (least <= explained)))

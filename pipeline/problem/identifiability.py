@@ -111,14 +111,8 @@ def _judge(
         ranks.append(count_determined(orbits))
         conditions.append(condition_number(orbits))
     orbit_rank, orbit_condition = np.max(ranks, axis=0), np.min(conditions, axis=0)
-    if (rank == len(names)).all():
-        verdict, reason = Solvability.IDENTIFIABLE, ""
-    elif somewhere:
-        missing = int((rank < len(names)).sum())
-        verdict = Solvability.ACROSS_SPEEDS
-        reason = f"at {missing} of {len(rank)} speeds by themselves the runs do not determine {', '.join(names)}"
-    else:
-        verdict, reason = Solvability.NOT_IDENTIFIABLE, _reason(names, rank, orbit_rank, equations)
+    alone, never = f"the runs do not determine {', '.join(names)}", _reason(names, rank, orbit_rank, equations)
+    verdict, reason = judge_rank(rank, len(names), bool(somewhere), alone, never)
     return Identifiability(
         nodes=tuple(equations.bearing_nodes[b] for b in bearings),
         unknowns=names,
@@ -130,6 +124,21 @@ def _judge(
         orbit_rank=orbit_rank,
         orbit_condition=orbit_condition,
     )
+
+
+def judge_rank(rank: np.ndarray, wanted: int, across: bool, alone: str, never: str) -> tuple[Solvability, str]:
+    """The verdict on ``wanted`` unknowns of which each speed determines ``rank`` (S,), and why.
+
+    Args:
+        across: whether the speeds together determine them all.
+        alone: what a speed by itself lacks, in words, where they do.
+        never: why they are not determined and what to add, where they do not.
+    """
+    if (rank == wanted).all():
+        return Solvability.IDENTIFIABLE, ""
+    if not across:
+        return Solvability.NOT_IDENTIFIABLE, never
+    return Solvability.ACROSS_SPEEDS, f"at {(rank < wanted).sum()} of {len(rank)} speeds by themselves {alone}"
 
 
 def unit_columns(matrix: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.coefficients import COEFFICIENTS, CoefficientName
+from pipeline.coefficients import COEFFICIENTS, CoefficientName, is_direct
 from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
@@ -23,6 +23,7 @@ from pipeline.parameters.model import ModelParameter, set_values, update_rotor
 from pipeline.parameters.probes import runout, sensor_matrix
 from pipeline.parameters.weights import update_excitations
 from pipeline.problem.condition_noise import NO_LEVELS
+from pipeline.problem.noise import residual_root
 from pipeline.problem.noise_levels import NoiseLevels
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
@@ -45,6 +46,10 @@ class Guess:
         """(M, U) N/m and N s/m, cross-coupled coefficients included."""
         size = {"k": self.stiffness, "c": self.damping}
         return np.tile([size[name[0]] for name in unknowns.names], (unknowns.n_members, 1))
+
+    def direct(self, unknowns: UnknownSet) -> np.ndarray:
+        """(M, U) the same with zero for cross-coupled coefficients, which have either sign."""
+        return self.sizes(unknowns) * [is_direct(name) for name in unknowns.names]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +174,12 @@ class Measurement:
         """The residual in the unknowns. Raises as :attr:`equations`; IdentifiabilityError for a bearing at rest."""
         return linear_residual(self.equations, self.unknowns, self.known)
 
+    def residual_root(self, bearings: BearingTable) -> np.ndarray:
+        """(S, R, 2 B, P) N, of the covariance of the residual near the ``bearings``:
+        :func:`pipeline.problem.noise.residual_root`.
+        """
+        return residual_root(self.rotor, self.dataset, bearings, self.deviation)
+
     @cached_property
     def response(self) -> ResponseEquations:
         """The response at the sensors, at the values of the model parameters."""
@@ -235,7 +246,7 @@ class Measurement:
         return replace(self, dataset=self.dataset.of_channels(kept), noise=noise, weighed=weighed, solved=None)
 
     def table(self, values: np.ndarray) -> BearingTable:
-        """All eight coefficients, from unknowns (M, S, U) and the known ones."""
+        """All eight coefficients, from unknowns (M, S, U), or constants (M, 1, U), and the known ones."""
         return self.known.with_unknowns(self.unknowns, values)
 
     def subtract_unbalance(self) -> Measurement:

@@ -34,7 +34,6 @@ from pipeline.problem.design import (
     choose,
     inform_coefficients,
     inform_numbers,
-    plan_root,
     plan_speeds,
     run_information,
     scale_to_limits,
@@ -198,7 +197,7 @@ def choose_best(config: Config, rotor: RotorModel) -> tuple[Runs, dict[str, Meas
         return build_measurement(config, rotor, simulate(rotor, prior, acting, frequencies), prior)
 
     everything = plan(possible)
-    white = whiten_plan(everything, everything.dataset, plan_root(everything))
+    white = whiten_plan(everything, everything.dataset, everything.residual_root(everything.known))
     information = run_information(white, len(possible), unknown_sizes(everything))
     present = everything.unknowns.present
     chosen = tuple(possible[c] for c in choose(information, present, design.runs, design.criterion))

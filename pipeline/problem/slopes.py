@@ -80,6 +80,14 @@ def prior_information(measurement: Measurement, of_numbers: np.ndarray) -> np.nd
     return np.concatenate([of_numbers, nothing, unit])
 
 
+def deviate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(..) standard deviations of what has the derivatives ``slopes`` (.., Z) by numbers of this ``covariance``
+    (.., Z, Z), to first order: the root of the diagonal of ``slopes covariance slopes'``; zero where rounding makes a
+    variance negative.
+    """
+    return np.asarray(np.sqrt(np.maximum(((slopes @ covariance) * slopes).sum(axis=-1), 0.0)))
+
+
 def invert(information: np.ndarray | torch.Tensor) -> np.ndarray:
     """(.., Z, Z) inverse of (.., Z, Z), whatever the sizes of the numbers; large where nothing is known."""
     import torch

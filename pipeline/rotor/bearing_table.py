@@ -28,7 +28,7 @@ class BearingTable:
         return self.values[..., COEFFICIENTS.index(name)]
 
     def with_unknowns(self, unknowns: UnknownSet, values: np.ndarray) -> BearingTable:
-        """These coefficients, with unknowns (M, S, U) in their places."""
+        """These coefficients, with unknowns (M, S, U), or constants (M, 1, U), in their places."""
         return replace(self, values=unknowns.expand(values, self.values))
 
     def impedance(self, frequencies: np.ndarray | None = None) -> np.ndarray:

@@ -18,7 +18,7 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.determination import Deviations
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.trust.linearised import LinearisedFit, linearise, name_channels
+from pipeline.trust.linearised import LinearisedFit, linearise
 from pipeline.trust.misfit import Misfit, measure_misfit
 from pipeline.twin.prediction import find_shares
 
@@ -77,7 +77,7 @@ def gather(
         fit: what ``training.json`` has under this name.
         fitted: (S, P, R) mask of the readings that were fitted.
     """
-    names = name_channels(measurement)
+    names = measurement.dataset.channel_names
     factor = np.array([fit["noise_factor"][name] for name in names]) if "noise_factor" in fit else np.ones(len(names))
     linear = linearise(measurement, uncertainty, fitted, factor, fit.get("noise_correlation", 0.0))
     answer, unfitted = uncertainty.identified.table(measurement.updated_known), uncertainty.unfitted
@@ -195,7 +195,7 @@ def find_missing_mode(
     if not lacking:
         return None
     at = int(peaks[max(lacking, key=lambda k: float(shape["prominences"][k]))])
-    names, near = name_channels(measurement), np.abs(grid / grid[at] - 1) < 2 * apart
+    names, near = data.channel_names, np.abs(grid / grid[at] - 1) < 2 * apart
     rises = np.ptp(height[near, 1:], axis=0)
     shown = [name for name, rise in zip(names, rises, strict=True) if rise > np.log(prominent)]
     return float(grid[at]), "all probes" if len(shown) == len(names) else ", ".join(shown)

@@ -14,11 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.data.dataset import EVERYWHERE, Excitation, name_direction
+from pipeline.data.dataset import EVERYWHERE, Excitation
 from pipeline.identification.answer import restore
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import deviate
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,7 @@ class LinearisedFit:
 
     def deviate(self, covariance: np.ndarray) -> np.ndarray:
         """(B, S, 8) standard deviations of the coefficients, from a ``covariance`` (Z, Z) of the weights."""
-        variance = np.einsum("bscz,zy,bscy->bsc", self.coefficients, covariance, self.coefficients, optimize=True)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return deviate(self.coefficients, covariance)
 
 
 def cross(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -112,11 +112,6 @@ def linearise(
     coefficients[..., : problem.places.numbers.stop] = by_number
     prior = problem.prior.information.numpy()[np.ix_(kept, kept)]
     return LinearisedFit(-columns[..., -1], columns[..., :-1], coefficients[..., kept], prior, fitted)
-
-
-def name_channels(measurement: Measurement) -> list[str]:
-    """What each channel is called."""
-    return [f"node {node} {name_direction(angle)}" for node, angle in measurement.dataset.channels]
 
 
 # --- which run would help a coefficient most ---------------------------------------------------------

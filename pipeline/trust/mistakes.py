@@ -27,7 +27,6 @@ from pipeline.identification.inputs import evaluate_functions
 from pipeline.identification.linear_start import linear_start
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
-from pipeline.trust.linearised import name_channels
 from pipeline.trust.mistake import NOTHING_FREE, Free, Mistake, list_mistakes
 from pipeline.unknowns import outputs_of, scale_outputs
 from pipeline.write_numbers import write_number
@@ -73,7 +72,7 @@ def find_mistakes(
             taken = project(replace(data, displacement=taken), channels).displacement
         dataset = replace(project(data, channels), subtracted=taken)
         measurement = replace(measurement, dataset=dataset, parameters=())
-    names, count = [*(probes or name_channels(measurement))], len(measurement.dataset.speeds)
+    names, count = [*(probes or measurement.dataset.channel_names)], len(measurement.dataset.speeds)
     thinned = []
     for speeds, terms in (first, last):
         keep = space_evenly(count, speeds)

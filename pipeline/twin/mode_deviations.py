@@ -25,6 +25,7 @@ from pipeline.errors import ConfigError
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.parameters.model import ModelParameter, rotor_change
 from pipeline.problem.measurement import Measurement
+from pipeline.problem.slopes import deviate
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import BearingPlaces, bearing_places, shaft_rows
@@ -106,11 +107,6 @@ class ModeDeviations:
     def growth(self) -> np.ndarray:
         """(S,) standard deviation of the largest real part at each speed, 1/s."""
         return deviate(self.by_growth, self.covariance)
-
-
-def deviate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(..) standard deviations, from derivatives (.., Z) and the covariance of the numbers."""
-    return np.sqrt(np.maximum(((slopes @ covariance) * slopes).sum(axis=-1), 0.0))
 
 
 def _derive_decrement(slopes: np.ndarray, frequency: np.ndarray, decrement: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.reference_response import response_equations, response_variations
 from pipeline.problem.response import derive_by_parameters, respond
+from pipeline.problem.slopes import deviate
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import TRANSLATIONS, RotorModel, translation_dof
 
@@ -96,8 +97,7 @@ def add_deviation(
         slopes = np.concatenate([slopes, by_model], axis=-1)
     direction = predicted.displacement.conj() / np.maximum(np.abs(predicted.displacement), np.finfo(float).tiny)
     in_phase = (direction[..., None] * slopes).real
-    variance = np.einsum("sdz,zy,sdy->sd", in_phase, uncertainty.machine_covariance, in_phase, optimize=True)
-    return replace(predicted, deviation=np.sqrt(np.maximum(variance, 0.0)))
+    return replace(predicted, deviation=deviate(in_phase, uncertainty.machine_covariance))
 
 
 def sample_motion(

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.config.machine import MachineConfig
 from pipeline.config.runs import find_frequencies
-from pipeline.data.dataset import Excitation
+from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.excitation_files import run_excitations
 from pipeline.data.vibration_files import place_speed
 from pipeline.errors import ConfigError, PipelineError
@@ -54,7 +54,7 @@ def plan_twin(machine: MachineConfig, measurement: Measurement) -> tuple[dict[st
     require_nodes(measurement.rotor, "machine.prediction", [asked.node, *(unbalance.node for unbalance in unseen)])
     speeds, at = place_speed(asked.speed_rpm, np.unique(dataset.speeds))
     alike = np.isclose(dataset.frequencies, find_frequencies(asked, dataset.speeds)[:, None]).any(axis=0)
-    if (run := find_same_run(unseen, dataset.of_runs(np.flatnonzero(alike)).excitations)) is not None:
+    if (run := find_same_run(unseen, dataset.of_runs(np.flatnonzero(alike)))) is not None:
         raise ConfigError(
             f"machine.prediction.{'unbalances' if asked.unbalances else 'forces'} must be {asked.what} that training "
             f"never saw, but run '{run}' is the same"
@@ -142,12 +142,10 @@ def superpose_unseen(machine: MachineConfig, measurement: Measurement, twin: Twi
     return (dataset.displacement @ shares) @ resolution[np.concatenate(rows)].T
 
 
-def find_same_run(unseen: tuple[Excitation, ...], seen: tuple[Excitation, ...]) -> str | None:
+def find_same_run(unseen: tuple[Excitation, ...], seen: VibrationDataset) -> str | None:
     """The run of ``seen`` whose excitation is ``unseen``; None where training never saw it."""
-
     wanted = {replace(excitation, run="") for excitation in unseen}
-    runs = dict.fromkeys(e.run for e in seen)
-    return next((run for run in runs if {replace(e, run="") for e in seen if e.run == run} == wanted), None)
+    return next((run for r, run in enumerate(seen.runs) if set(seen.excitation_of(r)) == wanted), None)
 
 
 def measure_unseen(
@@ -160,7 +158,7 @@ def measure_unseen(
     """
     unseen, node, rotor = run_excitations(machine.prediction), machine.prediction.node, measurement.rotor
     lacks = max(node, *(force.node for force in unseen)) >= rotor.n_places
-    if modelled is None or lacks or find_same_run(unseen, measurement.dataset.excitations) is not None:
+    if modelled is None or lacks or find_same_run(unseen, measurement.dataset) is not None:
         return None
     if not all(np.isfinite(answer.values).all() for answer in answers):
         return None

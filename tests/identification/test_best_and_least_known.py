@@ -10,13 +10,13 @@ from running import composed
 from small_rotor import DIRECT, FITTED, small_machine
 
 from pipeline.config.compose import compose_config
-from pipeline.identification.combinations import _deviation, _directions, _share, combine
+from pipeline.identification.combinations import _directions, _share, combine
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.training import setup_of
 from pipeline.parameters.model import ModelParameter
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import NoiseLevels
-from pipeline.problem.slopes import invert
+from pipeline.problem.slopes import deviate, invert
 from pipeline.reporting.diagnosis import describe_combinations, summarize_combinations
 
 TWO = np.array([100.0, 120.0])
@@ -58,7 +58,7 @@ def test_the_next_run_leaves_what_it_promises() -> None:
     more, _ = small_machine(DIRECT, (0.3, 0.3), np.sort([*TWO, found.next_run.speed]), noise=0.0)
     start = prepare_output_error(replace(more, dataset=more.dataset.of_runs(np.array([0]))), SETUP)
     along = np.array(list(found.weakest.shares.values())) @ _share(start.problem, start.weights)
-    left = _deviation(start.problem.normal(start.weights)[1][0, 0], along)
+    left = deviate(along, invert(start.problem.normal(start.weights)[1][0, 0]))
     assert left == pytest.approx(found.next_run.deviation, rel=1e-3)
     assert f"at {found.next_run.speed * 30 / np.pi:.4g} rpm besides" in describe_combinations(found)
 

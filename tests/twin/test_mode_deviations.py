@@ -12,6 +12,7 @@ from conftest import Machine
 
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.parameters.model import ModelParameter, rotor_change, update_rotor
+from pipeline.problem.slopes import deviate
 from pipeline.reporting.summary import describe_stability
 from pipeline.reporting.twin import describe_measured, summarize_modes
 from pipeline.rotor.bearing_table import BearingTable
@@ -19,7 +20,7 @@ from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.interpolation import bearing_places, move_bearing
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_adapter import ross
-from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eigenvalues, derive_place, deviate
+from pipeline.twin.mode_deviations import Behaviour, ModeDeviations, derive_eigenvalues, derive_place
 from pipeline.twin.modes import (
     WhirlModes,
     amplify,
