@@ -160,9 +160,13 @@ class VibrationDataset:
         """Places among the ``runs`` (indices of one frequency) of each that repeats another, and of the last of these
         before it: by what acts in them.
         """
-        acting = [self.excitation_of(int(run)) for run in runs]
-        again = [i for i, acts in enumerate(acting) if acts in acting[:i]]
-        return [(i, max(j for j in range(i) if acting[j] == acting[i])) for i in again]
+        pairs, last = [], dict[tuple[Excitation, ...], int]()
+        for i, run in enumerate(runs):
+            acting = self.excitation_of(int(run))
+            if acting in last:
+                pairs.append((i, last[acting]))
+            last[acting] = i
+        return pairs
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
