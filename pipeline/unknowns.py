@@ -105,7 +105,8 @@ class UnknownSet:
         """(B, S, 8) coefficients from unknowns (M, S, U), or constants (M, 1, U), and, where nothing is identified,
         ``known`` (B, S, 8).
         """
-        expanded = values @ self.expansion.swapaxes(1, 2)
+        # @ would warn of 0 x inf, where functions overflow. What bearings share is spread over them.
+        expanded = np.einsum("bcu,bsu->bsc", self.expansion, values)
         return np.where(self.identified[:, None], expanded, known)
 
     def expand_deviation(self, deviation: np.ndarray) -> np.ndarray:

@@ -85,7 +85,9 @@ def deviate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     (.., Z, Z), to first order: the root of the diagonal of ``slopes covariance slopes'``; zero where rounding makes a
     variance negative.
     """
-    return np.asarray(np.sqrt(np.maximum(((slopes @ covariance) * slopes).sum(axis=-1), 0.0)))
+    # einsum, unlike *, doesn't warn of what overflows: coefficients that ran away have no finite deviation
+    variance = np.einsum("...z,...z->...", slopes @ covariance, slopes)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def invert(information: np.ndarray | torch.Tensor) -> np.ndarray:
