@@ -94,25 +94,21 @@ class Exported:
         if self.deviation is None:
             return []
         judged = Deviations(self.table, self.deviation, self.name).judge()
-        lost = ", ".join(f"{each.name} at node {each.node} {each.where}".strip() for each in judged if each.lost)
+        lost = ", ".join(f"{each.name} at node {each.node} {each.where}" for each in judged if each.lost)
         beside = f" ({self.state})" if self.operating else ""
         return [f"Not determined by these data, stated for completeness{beside}: {lost}."] if lost else []
 
     def conventions(self) -> list[str]:
         """Lines for the head of a file."""
-        units = " and ".join(NAMES[self.units])
-        return [f"{self.title}: identified bearing coefficients, {units}", *CONVENTIONS, *self.undetermined]
+        return [f"{self.title}: identified bearing coefficients, {' and '.join(NAMES[self.units])}", *CONVENTIONS]
 
 
 def list_conventions(states: Sequence[Exported]) -> list[str]:
     """Lines for the head of what holds every state."""
     names = "; ".join(state.state for state in states if state.operating)
-    head = replace(states[0], operating={}, deviation=None).conventions()
-    return [
-        *head,
-        *([f"States: {names}."] if names else []),
-        *(line for state in states for line in state.undetermined),
-    ]
+    beside = [f"States: {names}."] if names else []
+    lost = [line for state in states for line in state.undetermined]
+    return [*replace(states[0], operating={}).conventions(), *beside, *lost]
 
 
 def tabulate(*states: Exported) -> dict[str, Any]:
