@@ -23,13 +23,13 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 STATEMENTS = {
     "config": 1734,
     "laws": 493,
-    "rotor": 743,
+    "rotor": 740,
     "data": 1079,
-    "parameters": 454,
+    "parameters": 452,
     "sweep": 245,
     "ingest": 1673,
-    "problem": 1510,
-    "identification": 2953,
+    "problem": 1535,
+    "identification": 2957,
     "evaluation": 216,
     "twin": 495,
     "balance": 670,
@@ -46,10 +46,10 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18834, 14500),
+    "statements of pipeline/": (18858, 14500),
     "files": (249, 250),
-    "classes": (329, 260),
-    "is None, is not None": (329, 420),
+    "classes": (330, 260),
+    "is None, is not None": (326, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),

@@ -191,8 +191,9 @@ class Whitened(LeastSquares):
 
         with torch.enable_grad():
             free = y.detach().requires_grad_()
-            (slope,) = torch.autograd.grad(self.volume(free).sum(), free)
-        information = self.normal(y)[1][:, 0] + held * torch.eye(self.size, dtype=y.dtype)
+            information = self.normal(free)[1][:, 0]
+            (slope,) = torch.autograd.grad(torch.linalg.slogdet(information)[1].sum() / 2, free)
+        information = information.detach() + held * torch.eye(self.size, dtype=y.dtype)
         asked: torch.Tensor = -(1 + held) * torch.linalg.solve(information, slope.mT).mT
         count, parameters = self.choices.root.shape[-1], self.problem.places.n_parameters
         asked[..., count : self.size - parameters] = 0.0

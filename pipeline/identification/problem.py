@@ -267,7 +267,7 @@ class OutputError(LeastSquares):
         gradient, matrix = whole[:, :-1, -1], whole[:, :-1, :-1]
         left = torch.diag((~self.fitted()).to(weights.dtype))
         gradient = gradient + self.prior.gradient(weights[:, 0])
-        return gradient[:, None], (matrix + self.prior.information + left)[:, None]
+        return gradient[:, None], (matrix + (self.prior.information + left))[:, None]
 
     def _gather(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, Z + 1, Z + 1) products of all columns, the deviations' last: each speed's are small, and spread over the
@@ -313,15 +313,23 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        member, kept, size = np.array([m for m, _ in self.active]), self.kept.flatten(), self.features.shape[-1]
-        products = local.new_zeros(len(local), len(member), size, len(member), size)
-        for m, n in np.ndindex(len(self.features), len(self.features)):
-            rows, columns = np.flatnonzero(member == m), np.flatnonzero(member == n)
-            pairs = self.features[m, -later.shape[1] :, :, None] * self.features[n, : before.shape[1], None]
-            products[:, rows[:, None], :, columns] = torch.einsum(
-                "gsab,skl->abgkl", local[:, :, rows][..., columns], pairs
-            )
-        return products.flatten(3).flatten(1, 2) * (kept[:, None] & kept)
+        member, kept, sizes = (
+            torch.tensor([m for m, _ in self.active]),
+            self.kept.flatten(),
+            [self.features.shape[-1]] * 2,
+        )
+        lines = []
+        for m in range(len(self.features)):
+            line = []
+            for n in range(len(self.features)):
+                pairs = self.features[m, -later.shape[1] :, :, None] * self.features[n, : before.shape[1], None]
+                # A product of matrices: an einsum of these would take twice as long.
+                products = local[:, :, member == m][..., member == n].movedim(1, -1) @ pairs.flatten(
+                    1
+                )  # (G, a, b, K K)
+                line.append(products.unflatten(-1, sizes).transpose(2, 3).flatten(3))
+            lines.append(torch.cat(line, dim=3).flatten(1, 2))
+        return torch.cat(lines, dim=1) * (kept[:, None] & kept)
 
     def columns(self, weights: torch.Tensor) -> torch.Tensor:
         """(G, rows, Z + 1) derivative of the readings' rows by the weights, and the rows themselves: large."""

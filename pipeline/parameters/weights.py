@@ -42,8 +42,10 @@ def update_excitations(dataset: VibrationDataset, parameters: Sequence[ModelPara
     """The data set with the weights at the values of the parameters."""
     if not any(parameter.row.weight for parameter in parameters):
         return dataset
-    weights = number_excitations(dataset.excitations)
-    updated = [_vector(weight, _act(weight, _list_acting(weight, i, parameters))[0]) for i, weight in weights]
+    acting = _list_acting(dataset.excitations, parameters)
+    updated = [
+        _vector(weight, _act(weight, those)[0]) for weight, those in zip(dataset.excitations, acting, strict=True)
+    ]
     return replace(dataset, excitations=tuple(updated))
 
 
@@ -55,8 +57,7 @@ def force_changes(
     ``dataset`` has the weights as they are stated.
     """
     changes: list[list[Excitation]] = [[] for _ in parameters]
-    for i, weight in number_excitations(dataset.excitations):
-        acting = _list_acting(weight, i, parameters)
+    for weight, acting in zip(dataset.excitations, _list_acting(dataset.excitations, parameters), strict=True):
         slopes = _act(weight, acting)[1]
         for t, parameter in acting:
             changes[t].append(_vector(weight, _unit(parameter) * slopes[parameter.row.weight]))
@@ -67,11 +68,15 @@ def force_changes(
 _Acting = Sequence[tuple[int, "ModelParameter"]]
 
 
-def _list_acting(weight: Excitation, i: int, parameters: Sequence[ModelParameter]) -> _Acting:
-    """Which of the parameters shift a number of a weight."""
+def _list_acting(excitations: Sequence[Excitation], parameters: Sequence[ModelParameter]) -> list[_Acting]:
+    """Which of the parameters shift a number of each weight."""
     uncertain = [(t, parameter) for t, parameter in enumerate(parameters) if parameter.row.weight]
-    turns = weight.kind == "unbalance"
-    return [(t, parameter) for t, parameter in uncertain if turns and parameter.row.belongs(parameter, i, weight)]
+    return [
+        [(t, parameter) for t, parameter in uncertain if parameter.row.belongs(parameter, i, weight)]
+        if weight.kind == "unbalance"
+        else []
+        for i, weight in number_excitations(excitations)
+    ]
 
 
 def _unit(parameter: ModelParameter) -> complex:

@@ -18,14 +18,12 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.parameters.bearings import known_variation
-from pipeline.parameters.geometry import bow_force
 from pipeline.parameters.model import ModelParameter, set_values, update_rotor
-from pipeline.parameters.probes import runout, sensor_matrix
 from pipeline.parameters.weights import update_excitations
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.noise import residual_root
 from pipeline.problem.noise_levels import NoiseLevels
-from pipeline.problem.reference_response import response_equations, response_variations
+from pipeline.problem.reference_response import SolvedRotor
 from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_equations, linear_residual
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
@@ -181,18 +179,19 @@ class Measurement:
         return residual_root(self.rotor, self.dataset, bearings, self.deviation)
 
     @cached_property
-    def response(self) -> ResponseEquations:
-        """The response at the sensors, at the values of the model parameters."""
-        rotor, parameters, data = self.updated_rotor, self.parameters, update_excitations(self.dataset, self.parameters)
-        sensors, bow = sensor_matrix(data, rotor, parameters), bow_force(parameters, self.rotor)
-        solved = response_equations(rotor, data, self.guess.stiffness, self.unknowns.planes, sensors, bow)
-        return solved.shifted(runout(parameters, data))
+    def _solved(self) -> SolvedRotor:
+        stiffness, planes = self.guess.stiffness, self.unknowns.planes
+        return SolvedRotor(self.rotor, self.dataset, stiffness, planes, self.parameters)
 
     @cached_property
+    def response(self) -> ResponseEquations:
+        """The response at the sensors, at the values of the model parameters."""
+        return self._solved.response
+
+    @property
     def variations(self) -> tuple[ResponseBlock, ...]:
         """The derivatives of the response's blocks by the model parameters, leading with T; empty without any."""
-        stiffness, planes = self.guess.stiffness, self.unknowns.planes
-        return response_variations(self.rotor, self.dataset, stiffness, planes, self.parameters)
+        return self._solved.variations
 
     @property
     def updated_rotor(self) -> RotorModel:

@@ -153,12 +153,6 @@ def solve(
     return result
 
 
-def coupled(rotor: RotorModel) -> np.ndarray:
-    """Indices of the DOF that any of the rotor's matrices has a number for."""
-    matrices = np.stack([rotor.mass, rotor.damping, rotor.gyroscopic, rotor.stiffness])
-    return np.flatnonzero(matrices.any(axis=(0, 1)) | matrices.any(axis=(0, 2)))
-
-
 def apply(
     rotor: RotorModel,
     rows: np.ndarray,

@@ -26,7 +26,7 @@ from pipeline.identification.quality import finite
 from pipeline.identification.readings import read_answer
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.reference_response import response_equations, response_variations
+from pipeline.problem.reference_response import SolvedRotor
 from pipeline.problem.response import derive_by_parameters, respond
 from pipeline.problem.slopes import deviate
 from pipeline.rotor.bearing_table import BearingTable
@@ -79,17 +79,17 @@ def add_deviation(
     shown, w = predicted.displacement[..., None], predicted.frequencies[:, None]
     dataset = VibrationDataset(bearings.speeds, runs, channels, shown, unbalances, w)
     stiffness = float(np.median(np.abs(bearings.values[..., 0])))
-    equations = response_equations(measurement.updated_rotor, dataset, stiffness)
+    # With exact probes and weights and a straight shaft: no probe shows this vibration.
+    parameters = tuple(
+        parameter if parameter.row.scope == "machine" else replace(parameter, deviation=0.0, place=0)
+        for parameter in measurement.parameters
+    )
+    solved = SolvedRotor(measurement.rotor, dataset, stiffness, parameters=parameters)
+    equations = solved.response
     by_coefficient = equations.sensitivity(bearings)[:, :, 0]  # (S, 2, B, 8)
     by_number = uncertainty.sensitivity(bearings.speeds, bearings.operating)  # (B, S, 8, A (K + L))
     slopes = np.einsum("sdbc,bscz->sdz", by_coefficient, by_number)
-    if measurement.parameters:
-        # With exact probes and weights and a straight shaft: no probe shows this vibration.
-        parameters = tuple(
-            parameter if parameter.row.scope == "machine" else replace(parameter, deviation=0.0, place=0)
-            for parameter in measurement.parameters
-        )
-        (variation,) = response_variations(measurement.rotor, dataset, stiffness, (), parameters)
+    for variation in solved.variations:  # of the one run; none without parameters
         change = equations.change(bearings, equations.blocks[0])
         response = respond(equations.blocks[0], change)
         by_model = derive_by_parameters(variation, response, change[None], None)[0, :, :, 0]  # (S, 2, T)

@@ -21,7 +21,7 @@ from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_
 from pipeline.identification.selection import revive
 from pipeline.identification.training import setup_of
 from pipeline.problem.expansion import expand
-from pipeline.problem.reference_response import response_equations
+from pipeline.problem.reference_response import SolvedRotor
 
 STIFFNESS = 2e7
 PROBES = ((0, 45.0), (1, 45.0), (1, 135.0), (3, 0.0), (5, 30.0), (5, 120.0))
@@ -52,7 +52,7 @@ def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides
 def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
     """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
     dataset = project(rotor_of.dataset, PROBES)
-    predicted = response_equations(rotor_of.rotor, dataset, stiffness).predict(rotor_of.bearings)
+    predicted = SolvedRotor(rotor_of.rotor, dataset, stiffness).response.predict(rotor_of.bearings)
     np.testing.assert_allclose(predicted, dataset.displacement, rtol=1e-8, atol=1e-10 * np.abs(predicted).max())
 
 
@@ -65,7 +65,7 @@ def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
     hidden = tuple(Excitation(run, "unbalance", 3, abs(residual), float(np.angle(residual))) for run in turning)
     own = np.stack([*[speeds] * len(turning), np.full(len(speeds), 200.0)], axis=1)
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*given, *hidden), own)
-    equations = response_equations(rotor_of.rotor, replace(complete, excitations=given), STIFFNESS, (3,))
+    equations = SolvedRotor(rotor_of.rotor, replace(complete, excitations=given), STIFFNESS, (3,)).response
     assert len(equations.blocks) == 2
     predicted = equations.predict(rotor_of.bearings, np.array([residual]))
     np.testing.assert_allclose(predicted, complete.displacement, rtol=1e-7, atol=1e-10 * np.abs(predicted).max())
@@ -75,7 +75,7 @@ def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
 def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple[tuple[int, float], ...]) -> None:
     """On clean data the residual at the bearings vanishes, whatever the sensors are."""
     dataset = project(rotor_of.dataset, channels)
-    equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
+    equations = SolvedRotor(rotor_of.rotor, dataset, STIFFNESS).response
     made = expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
     assert made is not None
     residual = made.equations.residual(rotor_of.bearings.impedance())
@@ -84,7 +84,7 @@ def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple
 
 def test_too_few_sensors_have_no_expansion(rotor_of: Machine) -> None:
     dataset = project(rotor_of.dataset, PROBES[:3])
-    equations = response_equations(rotor_of.rotor, dataset, STIFFNESS)
+    equations = SolvedRotor(rotor_of.rotor, dataset, STIFFNESS).response
     assert expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
 
 
