@@ -73,30 +73,22 @@ def test_a_script_takes_one_thread_unless_it_states_more(stated: str) -> None:
 
 @pytest.mark.slow
 def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
-    """Data there, rotor seen before: neither ROSS nor pandas nor torch's compiler."""
-    command = [*BALL, f"output='{tmp_path}'"]
-    assert main(["stage=train", *command]) == 0
-    codes, _, modules = imported_by(["stage=train", *command])
-    assert codes == [0]
+    """Data there, rotor seen before, stated or in a file: neither ROSS nor pandas nor torch's compiler."""
+    of_file = (
+        f"machine.rotor.file='{ROOT / 'examples' / 'measured_demo' / 'rotor.toml'}'",
+        *("machine.rotor.bearing_nodes=[]", "machine.bearings.kind=rotor_file"),
+        "machine.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]",
+    )
+    commands = [
+        ["stage=train", *BALL, *rotor, f"output='{tmp_path / name}'"]
+        for name, rotor in (("stated", ()), ("file", of_file))
+    ]
+    assert [main(command) for command in commands] == [0, 0]
+    codes, _, modules = imported_by(*commands)
+    assert codes == [0, 0]
     assert "torch" in modules
     unneeded = {"ross", "pandas", "torch._dynamo", "matplotlib", "mlflow", "optuna", "pyarrow.dataset"}
     assert unneeded & modules == set()
-
-
-@pytest.mark.slow
-def test_a_rotor_file_seen_before_needs_no_ross(tmp_path: Path) -> None:
-    rotor = ROOT / "examples" / "measured_demo" / "rotor.toml"
-    command = [
-        *BALL,
-        f"machine.rotor.file='{rotor}'",
-        "machine.rotor.bearing_nodes=[]",
-        "machine.bearings.kind=rotor_file",
-        f"output='{tmp_path}'",
-    ]
-    command.append("machine.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]")
-    assert main(["stage=train", *command]) == 0
-    codes, _, modules = imported_by(["stage=train", *command])
-    assert (codes, "ross" in modules) == ([0], False)
 
 
 MISTAKES = [
