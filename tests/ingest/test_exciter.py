@@ -140,6 +140,7 @@ def test_what_can_not_be_averaged_is_told(seconds: int, changes: dict[str, float
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("rpm", [0, 3000])
 def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Random forces on ROSS's rotor, by ROSS's own response in time: bearings within their bands, and its modes."""
