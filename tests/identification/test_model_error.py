@@ -81,6 +81,7 @@ def problem() -> tuple[OutputError, torch.Tensor]:
     return start.problem.update(0.9 * weights), weights
 
 
+@pytest.mark.slow
 def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, torch.Tensor]) -> None:
     """By model parameters, too; the normal equations are those of the full derivative."""
     import torch

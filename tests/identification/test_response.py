@@ -182,6 +182,7 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
     assert worst(whole, fit) < 0.01
 
 
+@pytest.mark.slow
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
     dataset = measure(rotor_of.dataset, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
     config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
@@ -270,7 +271,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("guess", ["1e6 N/m", "1e7 N/m"])
+@pytest.mark.parametrize("guess", ["1e6 N/m", pytest.param("1e7 N/m", marks=pytest.mark.nightly)])
 def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> None:
     """No linear start, and still no search: the filter's answer of each speed leads to the minimum.
 

@@ -70,6 +70,7 @@ def push(seconds: float) -> np.ndarray:
     return sosfilt(butter(4, 300, fs=RATE, output="sos"), np.random.default_rng(0).standard_normal(int(seconds * RATE)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["random", "impacts", "stepped sine", "sweeps"])
 def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     """Circular complex errors are within sqrt(3) of their root mean square 95 times of 100."""
@@ -95,6 +96,7 @@ def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     assert test.averages == pytest.approx(averages, rel=0.06)
 
 
+@pytest.mark.slow
 def test_a_noisy_force_makes_h1_too_small(folder: Path) -> None:
     """By the share r of its power, and Hv, which takes the motion for as noisy, by r / 2."""
     every = [read(folder, [push(120)], noisy_force=0.5, averaging={"estimator": e})[0] for e in ("H1", "Hv")]

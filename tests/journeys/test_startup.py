@@ -192,6 +192,7 @@ def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     assert here == there != other
 
 
+@pytest.mark.slow
 def test_stages_run_in_the_order_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stage=[generate,train,evaluate]", *BALL, f"output='{tmp_path}'"]) == 0
     said = capsys.readouterr().out

@@ -365,8 +365,8 @@ def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorF
 @pytest.mark.parametrize(
     ("seed", "trouble", "kinds"),
     [
-        (151, "none", ("plain", "plain")),
-        (154, "none", ("rolling", "rolling")),
+        pytest.param(151, "none", ("plain", "plain"), marks=pytest.mark.nightly),
+        pytest.param(154, "none", ("rolling", "rolling"), marks=pytest.mark.nightly),
         (443, "support", ("plain on a pedestal", "rolling on a pedestal")),
     ],
 )

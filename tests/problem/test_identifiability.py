@@ -289,6 +289,7 @@ def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, root
     return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), root)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
 def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     rotor_of: Machine, sensors: str, rng: np.random.Generator

@@ -233,10 +233,10 @@ def test_the_noise_of_a_simulated_probe_is_constant_in_what_it_measures() -> Non
 @pytest.mark.slow
 def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
     """Floors of accelerometers that are stated a tenth as large as they are come back with the share, and errors of the
-    supports' numbers have the stated deviations (root mean square over four data sets).
+    supports' numbers have the stated deviations (root mean square over three data sets).
     """
     noise, off = NoiseModel(0.0, 0.005, floors=((0.0, 0.0, 0.02),) * 8), list[float]()
-    for seed in range(4):
+    for seed in range(3):
         made, everywhere = measured(), simulate(load_rotor(config()), films(), WEIGHTS)
         sensors = Sensors(made.dataset.channels, multiplicative=noise.multiplicative, floors=noise.floors)
         read = measure(everywhere, sensors, np.random.default_rng(seed))
