@@ -62,19 +62,18 @@ LONG = (
 )
 """Methods that model many machines first, train a network, or start from many guesses."""
 # The paper's residual with a part of the improved one keeps what both keep; its algorithm takes a minute a data set.
-PARTS = ("paper_scaling", "paper_logarithm", "paper_second_order")
+ADAM = ("paper", "paper_scaling", "paper_logarithm")
 BY_DAY = [
-    pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper")) for name in METHOD_NAMES if name not in PARTS
+    pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper"))
+    for name in METHOD_NAMES
+    if name == "paper" or not name.startswith("paper")
 ]
-
-
-BY_NIGHT = ("paper", "paper_scaling", "paper_logarithm")  # by Adam alone; the second order's answer is the nearest
 
 
 @pytest.mark.parametrize(
     "method",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG) + [pytest.mark.nightly] * (name in BY_NIGHT))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG) + [pytest.mark.nightly] * (name in ADAM))
         for name in METHOD_NAMES
     ],
 )
@@ -141,7 +140,10 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("method", "case", "reason", "overrides"), REFUSED)
+@pytest.mark.parametrize(
+    ("method", "case", "reason", "overrides"),
+    [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "response")) for one in REFUSED],
+)
 def test_what_a_method_cannot_do_it_refuses_by_name(
     method: str, case: Case, reason: str, overrides: tuple[str, ...]
 ) -> None:

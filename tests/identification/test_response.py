@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from conftest import Machine, MachineFactory, bearings_of
 from training import assert_close, dense_jacobian
 
@@ -102,7 +103,6 @@ def full_problem(rotor_of: Machine) -> OutputErrorFit:
 @pytest.mark.slow
 def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
     """Closed-form derivatives against torch's."""
-    import torch
 
     problem = full_problem.problem
     free = full_problem.weights + 0.01 * torch.randn(
@@ -300,7 +300,6 @@ def test_more_noise_never_lowers_what_is_expected(rotor_of: Machine) -> None:
 
 def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
     """A short free vector predicts what the long one does whose other outputs are zero."""
-    import torch
 
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     short = problem.truncated(4)
