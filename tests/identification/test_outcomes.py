@@ -147,6 +147,7 @@ def test_one_diverged_member_leaves_the_others_alone(ball: Machine) -> None:
     assert batch.loss[1] < 1e-12
 
 
+@pytest.mark.slow
 def test_progress_and_history(ball: Machine) -> None:
     """Every step is shown with its phase and counted within it; the history has one row a step."""
     seen: list[tuple[str, int, int]] = []

@@ -211,6 +211,7 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bomb", BOMBS)
 def test_bombs(bomb: str, tmp_path: Path) -> None:
     """A few bytes that ask for more memory than the machine has: each is a sentence at once."""

@@ -271,6 +271,7 @@ def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions()
         assert found == {(node, name): "y" in name for node in NODES for name in ("kxx", "kyy", "cxx", "cyy")}
 
 
+@pytest.mark.slow
 def test_a_probe_in_x_tells_of_y_what_the_true_bearings_would_let_it_tell() -> None:
     """From a guess that is ten times too soft, whose response is not the one that was read."""
     made, real = seen_in_x(0.3, Guess(1e6, 1e3))
@@ -285,6 +286,7 @@ def test_a_probe_in_x_tells_of_y_what_the_true_bearings_would_let_it_tell() -> N
     assert np.nanmax(np.abs(np.log(foretold / expected))) < 0.6
 
 
+@pytest.mark.slow
 def test_cross_coefficients_that_start_at_zero_have_shares() -> None:
     """Sizes that are stated make a fit start at guesses, where cross coefficients are zero; supports are off."""
     made = replace(measured((SHAFT, CASING), NoiseModel(5e-8, 0.01)), parameters=())
