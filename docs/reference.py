@@ -9,6 +9,7 @@ from __future__ import annotations
 import textwrap
 import types
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -144,16 +145,18 @@ def default_of(section: type[Section], name: str, path: str) -> str:
     return f"`{text.strip().removesuffix('...').strip()}`"
 
 
-_COMPOSED: dict[str | None, Any] = {}
+@cache
+def _read_defaults() -> Any:
+    return yaml.safe_load((ROOT / "conf" / "config.yaml").read_text(encoding="utf-8"))
+
+
+@cache
+def _compose(override: str | None) -> Any:
+    return compose_mapping([override] if override else [])
 
 
 def _look_up(path: list[str], override: str | None) -> Any:
-    if path[0] == "machine":
-        value = yaml.safe_load((ROOT / "conf" / "config.yaml").read_text(encoding="utf-8"))
-    else:
-        if override not in _COMPOSED:
-            _COMPOSED[override] = compose_mapping([override] if override else [])
-        value = _COMPOSED[override]
+    value = _read_defaults() if path[0] == "machine" else _compose(override)
     for key in path:
         if not isinstance(value, dict) or key not in value:
             return PydanticUndefined

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 from pipeline.data.conditions import Conditions
 from pipeline.problem.noise_levels import NoiseLevels
@@ -12,6 +13,8 @@ from pipeline.problem.noise_levels import NoiseLevels
 SPEEDS, CHANNELS, PLANES = 2, 3, (4, 9)
 SIZE = SPEEDS * CHANNELS
 GRAM = 1e-6  # g mm in kg m
+TAILS = [pytest.param(6.0, id="student"), pytest.param(None, id="gaussian", marks=pytest.mark.nightly)]
+"""Degrees of freedom of what conditions scatter by; outliers of Student's t are the harder case."""
 
 
 def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,6 +30,7 @@ def test_coefficients_come_back(seed: int) -> None:
     assert np.allclose(back, values, rtol=1e-10 * np.exp(size), atol=0)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6))
 def test_slopes_are_the_derivatives(seed: int) -> None:
     """By torch's automatic differentiation."""

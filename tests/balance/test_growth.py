@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from balancing import GRAM, Truth, truth
+from balancing import GRAM, TAILS, Truth, truth
 
 from pipeline.balance.fitted import blend, find_contradictions
 from pipeline.balance.influence import design_of, fit_growth, fit_influence, inflation
@@ -39,7 +39,7 @@ def test_growth_is_found_and_widens_the_bands_of_heavy_weights() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tail", [None, 6.0], ids=["gaussian", "student"])
+@pytest.mark.parametrize("tail", TAILS)
 def test_steady_drift_is_taken_for_growth_as_rarely_as_stated(tail: float | None) -> None:
     """At 1 % of 40 sets 0.4 are expected; four or more in 1 of 1000."""
     rng = np.random.default_rng(1)

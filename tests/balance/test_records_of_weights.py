@@ -108,6 +108,7 @@ def test_the_vibration_of_known_weights_and_its_bands() -> None:
     assert not blind.within.any()
 
 
+@pytest.mark.slow
 def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
     """A shift that all conditions share, of three deviations of each: few circles hold it, until one condition with
     known weights shows it. Then the same bands hold what they say, for vibration and weights."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from balancing import GRAM, SIZE, truth
+from balancing import GRAM, SIZE, TAILS, truth
 
 from pipeline.balance.influence import fit_influence
 from pipeline.balance.unbalance import Unbalance, estimate_unbalance
@@ -37,7 +37,7 @@ def test_intervals_of_magnitude_and_angle() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tail", [None, 6.0], ids=["gaussian", "student"])
+@pytest.mark.parametrize("tail", TAILS)
 def test_intervals_of_weights_hold_what_they_say(tail: float | None) -> None:
     rng = np.random.default_rng(1)
     parts, magnitudes, angles = [], [], []

@@ -61,16 +61,19 @@ LONG = (
     *("preconditioned", "response", "spline", "trained", "law"),
 )
 """Methods that model many machines first, train a network, or start from many guesses."""
-# The paper's residual with a part of the improved one keeps what both keep.
-WHOLE = tuple(name for name in METHOD_NAMES if name not in ("paper_scaling", "paper_logarithm", "paper_second_order"))
-# The paper's algorithm takes a minute a data set.
-BY_DAY = [pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper")) for name in WHOLE]
+# The paper's residual with a part of the improved one keeps what both keep; its algorithm takes a minute a data set.
+ADAM = ("paper", "paper_scaling", "paper_logarithm")
+BY_DAY = [
+    pytest.param(name, marks=[pytest.mark.nightly] * (name == "paper"))
+    for name in METHOD_NAMES
+    if name == "paper" or not name.startswith("paper")
+]
 
 
 @pytest.mark.parametrize(
     "method",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG) + [pytest.mark.nightly] * (name not in WHOLE))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in LONG) + [pytest.mark.nightly] * (name in ADAM))
         for name in METHOD_NAMES
     ],
 )
@@ -85,7 +88,7 @@ def test_the_error_grows_with_the_noise(method: str) -> None:
     """In proportion, over the mean of a few data sets; by half where the method's own error is not small beside it."""
     good = GOOD[method]
 
-    def mean_error(noise: float, data_sets: int = 3) -> float:
+    def mean_error(noise: float, data_sets: int = 2) -> float:
         cases = [replace(good.case, noise=noise, data_set=i) for i in range(data_sets)]
         return float(np.mean([errors(answer(method, case, *good.overrides), case, *good.overrides) for case in cases]))
 
@@ -137,7 +140,10 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("method", "case", "reason", "overrides"), REFUSED)
+@pytest.mark.parametrize(
+    ("method", "case", "reason", "overrides"),
+    [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "response")) for one in REFUSED],
+)
 def test_what_a_method_cannot_do_it_refuses_by_name(
     method: str, case: Case, reason: str, overrides: tuple[str, ...]
 ) -> None:
@@ -162,7 +168,11 @@ def test_cross_validation_needs_more_equations_than_unknowns() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["least_squares", "total_least_squares", "kalman", "spline", "response", "trained"])
-@pytest.mark.parametrize("overrides", [FILM, (*FILM, "identify.shared=true")], ids=["each", "alike"])
+@pytest.mark.parametrize(
+    "overrides",
+    [FILM, pytest.param((*FILM, "identify.shared=true"), marks=pytest.mark.nightly)],
+    ids=["each", "alike"],
+)
 def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None:
     """Nominal 95 % intervals, over speeds, bearings and data sets."""
     inside = []

@@ -212,6 +212,7 @@ def test_a_broken_file_in_conf_is_named(line: str, words: str, monkeypatch: pyte
             compose_config([])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", ["measured_demo", "oil_temperatures", "realistic"])
 def test_what_groups_compose_to_is_kept_and_no_value_of_a_command(
     experiment: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -124,13 +124,13 @@ def _as_if_independent(
 def test_intervals_hold_as_often_as_they_say(
     rotor_of: Machine, monkeypatch: pytest.MonkeyPatch, follow: Callable[..., Any], low: float, high: float
 ) -> None:
-    """A hundred measurements, eight constants: errors over their stated deviations have a root mean square of 0.98,
+    """Fifty measurements, eight constants: errors over their stated deviations have a root mean square of 0.98,
     and the 95 % intervals hold 95 %. Runs taken for independent: 1.25 and 89 %.
     """
     monkeypatch.setattr(Readings, "follow", follow)
     clean, setup, over, squares = clean_of(rotor_of), setup_of(CONFIG), [], []
     truth = bearings_of((1, 5), rotor_of.speeds, **TRUTH).values
-    for seed in range(100):
+    for seed in range(50):
         found = fit(measurement := measured(rotor_of, clean, seed), setup)
         deviation = found.deviation(rotor_of.speeds)
         assert deviation is not None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import torch
 from conftest import Artifacts
 from training import dense_jacobian
 
@@ -26,9 +26,6 @@ from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.units import RAD_S_PER_RPM
-
-if TYPE_CHECKING:
-    import torch
 
 CONFIG = compose_config(
     [
@@ -72,7 +69,6 @@ def worst_error(fit: OutputErrorFit, truth: BearingTable) -> float:
 @pytest.fixture(scope="module")
 def problem() -> tuple[OutputError, torch.Tensor]:
     """All kinds that the experiment has, at weights that are none of a minimum."""
-    import torch
 
     start = prepare_output_error(measured(EXACT)[0], SETUP)
     weights = start.weights.clone()
@@ -81,9 +77,9 @@ def problem() -> tuple[OutputError, torch.Tensor]:
     return start.problem.update(0.9 * weights), weights
 
 
+@pytest.mark.slow
 def test_the_derivative_is_that_of_autograd(problem: tuple[OutputError, torch.Tensor]) -> None:
     """By model parameters, too; the normal equations are those of the full derivative."""
-    import torch
 
     fitted, weights = problem
     jacobian, rows = dense_jacobian(fitted, weights), fitted.rows(weights)[0, 0]

@@ -62,12 +62,12 @@ def ready(experiment: str, folder: Path, *overrides: str) -> Ready:
 
 
 def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifacts, tmp_path: Path) -> None:
-    """The paper's loss and network, each data set fitted by both; a typical one of twelve."""
+    """The paper's loss and network, each data set fitted by both; a typical one of six."""
     ours = ready("noisy_stiffness", artifacts.copied("noisy_stiffness", DATA, tmp_path / "x"))
     paper = setup_of(compose_config(["experiment=noisy_stiffness_residual"]))
     errors: dict[str, list[list[np.ndarray]]] = {"response": [], "residual": []}
     again = ours.measured_again()
-    for _ in range(12):
+    for _ in range(6):
         data = again()
         found = {"response": ours.fit(data).identified, "residual": fit(data, paper).model}
         for name, identified in found.items():
@@ -79,13 +79,13 @@ def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifac
 
 
 def test_the_error_falls_in_proportion_to_the_noise(tmp_path: Path) -> None:
-    """Slope 1 +- 0.15 from 0.01 % to 1 %, over twenty data sets each; a tenth of the speeds shows it as well."""
+    """Slope 1 +- 0.15 from 0.01 % to 1 %, over ten data sets each; a tenth of the speeds shows it as well."""
     noises, errors = np.array([1e-4, 1e-3, 1e-2]), []
     for noise in noises:
         stated = [f"{key}.multiplicative={noise}" for key in ("machine.probes", "stated_noise")]
         one = ready("noisy_stiffness", tmp_path / f"noise {noise}", *stated, "machine.speeds.step_rpm=100")
         again = one.measured_again(noise)
-        fits = [one.fit(again()) for _ in range(20)]
+        fits = [one.fit(again()) for _ in range(10)]
         found = np.array([fit.problem.unknowns(fit.weights)[0][0].numpy() for fit in fits])
         truth = np.stack([one.modelled.values[m, :, [0, 3][u]] for m, u in fits[0].problem.active], axis=1)
         errors.append(np.sqrt(np.median((found / truth - 1) ** 2, axis=(0, 1))))

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("phases", [optimizer(adam=60), optimizer(lm=15), optimizer(lbfgs=8)])
+@pytest.mark.parametrize("phases", [optimizer(adam=60), optimizer(lm=15), optimizer(lbfgs=4)])
 def test_guesses_trained_together_do_not_influence_each_other(phases: OptimizerConfig, ball: Machine) -> None:
     """Five guesses at once end where each ends alone (1e-12; steps forced equal, no early stopping)."""
     guesses = [1.0, 1e2, 1e4, 1e6, 1e8]
@@ -147,6 +147,7 @@ def test_one_diverged_member_leaves_the_others_alone(ball: Machine) -> None:
     assert batch.loss[1] < 1e-12
 
 
+@pytest.mark.slow
 def test_progress_and_history(ball: Machine) -> None:
     """Every step is shown with its phase and counted within it; the history has one row a step."""
     seen: list[tuple[str, int, int]] = []

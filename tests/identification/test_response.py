@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from conftest import Machine, MachineFactory, bearings_of
 from training import assert_close, dense_jacobian
 
@@ -102,7 +103,6 @@ def full_problem(rotor_of: Machine) -> OutputErrorFit:
 @pytest.mark.slow
 def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
     """Closed-form derivatives against torch's."""
-    import torch
 
     problem = full_problem.problem
     free = full_problem.weights + 0.01 * torch.randn(
@@ -182,6 +182,7 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
     assert worst(whole, fit) < 0.01
 
 
+@pytest.mark.slow
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
     dataset = measure(rotor_of.dataset, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
     config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
@@ -270,7 +271,7 @@ def test_an_odd_number_of_outputs_before_the_planes(rotor_of: Machine, planes: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("guess", ["1e6 N/m", "1e7 N/m"])
+@pytest.mark.parametrize("guess", ["1e6 N/m", pytest.param("1e7 N/m", marks=pytest.mark.nightly)])
 def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> None:
     """No linear start, and still no search: the filter's answer of each speed leads to the minimum.
 
@@ -299,7 +300,6 @@ def test_more_noise_never_lowers_what_is_expected(rotor_of: Machine) -> None:
 
 def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
     """A short free vector predicts what the long one does whose other outputs are zero."""
-    import torch
 
     problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
     short = problem.truncated(4)

@@ -52,7 +52,11 @@ def test_a_sense_read_twice_is_the_data_as_written() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "written", [Sense(), Sense(lag=True, against=True), pytest.param(Sense(lag=True), marks=pytest.mark.nightly)]
+    "written",
+    [
+        Sense(lag=True, against=True),
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in (Sense(), Sense(lag=True))),
+    ],
 )
 def test_data_written_in_the_wrong_sense_are_found(written: Sense, setup: FitSetup) -> None:
     """Of all eight the one in which they were written, the mirrored machine refused by its damping."""
@@ -90,7 +94,7 @@ def test_a_loss_that_weighs_no_noise_is_refused(setup: FitSetup) -> None:
 @pytest.mark.slow
 def test_the_stage_writes_every_sense_and_the_sentence(run: Run, tmp_path: Path) -> None:
     """Modelled data are written as the program reads them, with all weights at one angle."""
-    run("senses", composed(*FITTED, *FEW_SPEEDS), tmp_path)
+    run("senses", composed(*FITTED, *FEW_SPEEDS, "machine.speeds.step_rpm=1000"), tmp_path)
     found = strict_json(tmp_path / "senses.json")
     assert len(found["senses"]) == 8
     flags = ("phase_as_lag", "weights_against_rotation", "rotation_from_y_to_x")

@@ -31,6 +31,7 @@ def deviation_of(measurement: Measurement) -> np.ndarray:
     return np.asarray(found.deviation(SPEEDS))[:, 0, [0, 3, 4, 7]]
 
 
+@pytest.mark.slow
 def test_a_coefficient_is_known_as_well_as_if_they_were_fitted() -> None:
     """The same information is inverted; what the readings tell of a tolerance is told in both ways."""
     measurement = tolerant()

@@ -70,6 +70,7 @@ def push(seconds: float) -> np.ndarray:
     return sosfilt(butter(4, 300, fs=RATE, output="sos"), np.random.default_rng(0).standard_normal(int(seconds * RATE)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["random", "impacts", "stepped sine", "sweeps"])
 def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     """Circular complex errors are within sqrt(3) of their root mean square 95 times of 100."""
@@ -95,6 +96,7 @@ def test_bands_hold_the_response_of_one_mass(kind: str, folder: Path) -> None:
     assert test.averages == pytest.approx(averages, rel=0.06)
 
 
+@pytest.mark.slow
 def test_a_noisy_force_makes_h1_too_small(folder: Path) -> None:
     """By the share r of its power, and Hv, which takes the motion for as noisy, by r / 2."""
     every = [read(folder, [push(120)], noisy_force=0.5, averaging={"estimator": e})[0] for e in ("H1", "Hv")]
@@ -140,6 +142,7 @@ def test_what_can_not_be_averaged_is_told(seconds: int, changes: dict[str, float
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("rpm", [0, 3000])
 def test_identify_takes_a_rotor_at_rest(rpm: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Random forces on ROSS's rotor, by ROSS's own response in time: bearings within their bands, and its modes."""

@@ -211,6 +211,7 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bomb", BOMBS)
 def test_bombs(bomb: str, tmp_path: Path) -> None:
     """A few bytes that ask for more memory than the machine has: each is a sentence at once."""
@@ -220,6 +221,7 @@ def test_bombs(bomb: str, tmp_path: Path) -> None:
         read_recording(tmp_path / name, ["a"], CsvConfig(), rate=100.0)
 
 
+@pytest.mark.slow
 def test_a_variable_that_nobody_asks_for_is_not_unpacked(tmp_path: Path) -> None:
     """1.6 GB of zeros in 2 MB, before what is asked for; themselves they are refused."""
     path, packed = tmp_path / "a.mat", zlib.compressobj()

@@ -52,6 +52,7 @@ def moved(order: int, size: float, ratio: float = 1.0, amplitude: str = "zero_to
     return pd.concat(frames, ignore_index=True)
 
 
+@pytest.mark.slow
 @examples(30)
 @given(
     st.sampled_from([(kind, unit, size) for kind, sizes in UNITS.items() for unit, size in sizes.items()]),

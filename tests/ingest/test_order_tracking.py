@@ -109,8 +109,8 @@ GRID = np.unique(np.concatenate([np.arange(700.0, 5900.0, 170.0), np.arange(1800
     ("rate", "first", "last", "damping"),
     [
         (10000.0, 600.0, 6000.0, 0.05),
-        (5000.0, 600.0, 6000.0, 0.1),
-        (5000.0, 100.0, 6000.0, 0.1),
+        pytest.param(5000.0, 600.0, 6000.0, 0.1, marks=pytest.mark.nightly),
+        pytest.param(5000.0, 100.0, 6000.0, 0.1, marks=pytest.mark.nightly),
         (5000.0, 6000.0, 600.0, 0.1),
     ],
 )
@@ -125,6 +125,7 @@ def test_run_up_at_one_percent_noise(
     assert np.sqrt((phase**2).mean()) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "edge", "percent"), [(5000.0, 8.0, 0.12), (10000.0, 0.0, 0.1)])
 def test_run_up_at_half_the_rate_or_with_a_sharp_tacho(
     rate: float, edge: float, percent: float, rng: np.random.Generator
@@ -158,6 +159,7 @@ class _Exact:
         return self.shaft.rpm(time) * RPM
 
 
+@pytest.mark.slow
 def test_a_sharp_resonance_gets_short_windows_by_itself(rng: np.random.Generator) -> None:
     """Two percent damping at 5 kHz: a long fixed window is wrong by tens of percent, the rule by tenths."""
     shaft = Shaft(5000.0, 600.0, 6000.0, 60.0, 0.02)

@@ -173,6 +173,7 @@ def signal_config(prefix: str, runs: list[dict[str, Any]], **changes: Any) -> di
 TRACKED = np.arange(800.0, 2501.0, 100.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", CONTAINERS)
 def test_run_ups(ending: str, tmp_path: Path) -> None:
     """CSV, HDF5, TDMS and NPZ: the vectors of the grid within 0.02 %, runout subtracted, one negative scale."""

@@ -66,6 +66,7 @@ def identify(data: VibrationDataset) -> np.ndarray:
     return np.asarray(fit_output_error(measurement, setup_of(config)).identified.table(known).values[:, 0])
 
 
+@pytest.mark.slow
 def test_readings_at_unequal_speeds_tell_the_coefficients() -> None:
     """No speed is that of two runs; a third of the readings of a full grid is as exact as that."""
     every, names = np.arange(len(EVERY)), two_discs().runs
@@ -76,6 +77,7 @@ def test_readings_at_unequal_speeds_tell_the_coefficients() -> None:
         np.testing.assert_allclose(found[:, [0, 3, 4, 7]], [[2.4e7, 1.7e7, 9e3, 7e3]] * 2, rtol=1e-8)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     masks=st.lists(st.sets(st.integers(0, len(EVERY) - 1), min_size=1), min_size=3, max_size=3),

@@ -47,6 +47,7 @@ def _bytes(path: Path, table: pd.DataFrame, encoding: str, line_end: str = "\n")
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_the_same_numbers_in_another_file_give_the_same_bits(way: str, run: Run, base: Config, mine: Path) -> None:
     path = WAYS[way](pd.read_parquet(mine / "vibration.parquet"), mine)

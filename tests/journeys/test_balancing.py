@@ -11,7 +11,8 @@ from conftest import DATA, Artifacts, assert_says
 from running import ROOT, composed, strict_json
 
 from pipeline.errors import ConfigError, DataError
-from pipeline.stages import run_stage
+from pipeline.stages import balance, given_records, run_stage
+from pipeline.stages.analysis import Analysis
 
 pytestmark = pytest.mark.slow
 RECORDS = ROOT / "examples" / "rk4" / "records.csv"
@@ -97,7 +98,11 @@ def test_known_weights_foretell_the_vibration(folder: Path, tmp_path: Path) -> N
             assert 0 < float(one[f"{column}_std"]) < float(one[f"{column}_band"])
 
 
-def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path) -> None:
+def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each in a table of its own, beside models that are fitted once."""
+    models = given_records.load_models(Analysis(composed("experiment=rk4", "tracking=none", f"output={folder}")))
+    for module in (balance, given_records):
+        monkeypatch.setattr(module, "load_models", lambda _: models)
     rows = _some("A003")
     fast = _write(tmp_path / "fast.csv", [r | {"rpm": "1400"} for r in rows])
     without = _write(tmp_path / "without.csv", [{k: v for k, v in r.items() if k != "condition"} for r in rows])

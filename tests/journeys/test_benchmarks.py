@@ -87,6 +87,7 @@ def test_every_benchmark_is_on_the_committed_page() -> None:
     assert [name for name in command.benchmarks() if f"`{name}`" not in page] == []
 
 
+@pytest.mark.slow
 def test_ross_answers_for_the_same_pedestals() -> None:
     """To what its smoothing of the bearings' table leaves."""
     from benchmarks.modelling import on_pedestals

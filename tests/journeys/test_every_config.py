@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Made, Run
+import yaml
+from conftest import Artifacts, Made, Run
 from running import DEFAULT, EXPERIMENTS, FIGURES, LINE, composed, contents, few, identified_columns, strict_json
 
 from benchmarks.ross_oracle import ross_rotor
@@ -45,7 +46,6 @@ def test_every_stage_of_an_experiment_again_gives_the_same_bits(
 @cache
 def _defaults() -> dict[str, str]:
     """The option of each group that the default experiment has."""
-    import yaml
 
     listed = yaml.safe_load((CONF / "config.yaml").read_text(encoding="utf-8"))["defaults"]
     return {group: option for one in listed if isinstance(one, dict) for group, option in one.items()}
@@ -113,7 +113,11 @@ def _runs_or_says_why_not(run: Run, experiment: str, folder: Path, *overrides: s
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("group", "option", "experiment"), CHOICES)
+@pytest.mark.parametrize(
+    ("group", "option", "experiment"),
+    # Networks of bearings start from the bearings without.
+    [pytest.param(*one, marks=[pytest.mark.nightly] * (one[1] == "bearings")) for one in CHOICES],
+)
 def test_every_option_of_every_group(group: str, option: str, experiment: str, run: Run, tmp_path: Path) -> None:
     """Any option with any experiment composes and trains, or is refused for nodes or a file."""
     chosen = [f"{group}={option}"]
@@ -134,8 +138,7 @@ def test_every_option_of_every_group(group: str, option: str, experiment: str, r
 @pytest.mark.slow
 @pytest.mark.parametrize("change", MORE)
 def test_other_values(change: str, run: Run, tmp_path: Path) -> None:
-    experiment = "ball_bearing" if "holdout" in change else "hydrostatic_stiffness"
-    _runs_or_says_why_not(run, experiment, tmp_path / "x", change)
+    _runs_or_says_why_not(run, "ball_bearing" if "holdout" in change else DEFAULT, tmp_path / "x", change)
 
 
 @pytest.mark.slow
@@ -166,14 +169,17 @@ def test_all_stages_of_all_combinations(model: str, optimizer: str, robustness: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
-def test_configure_writes_what_the_other_stages_read(experiment: str, run: Run, tmp_path: Path) -> None:
-    """config.yaml holds the configuration in SI, without what says how rather than what."""
-    import yaml
+def test_configure_writes_what_the_other_stages_read(
+    experiment: str, run: Run, artifacts: Artifacts, tmp_path: Path
+) -> None:
+    """config.yaml holds the configuration in SI, without what says how rather than what; the graph made the others."""
 
     assert composed(f"experiment={experiment}").output == f"artifacts/{experiment}"
-    run("configure", few(experiment), tmp_path / "x")
-    assert contents(tmp_path / "x").keys() == {"config.yaml"}
-    mapping = yaml.safe_load((tmp_path / "x" / "config.yaml").read_text())
+    folder = artifacts.root / "configurations" / experiment
+    if experiment == DEFAULT:
+        run("configure", few(experiment), folder := tmp_path / "x")
+        assert contents(folder).keys() == {"config.yaml"}
+    mapping = yaml.load((folder / "config.yaml").read_text(), yaml.CSafeLoader)
     assert mapping["name"] == experiment
     assert not {"stage", "tracking", "check", "threads", "output"} & mapping.keys()
     assert mapping["machine"]["rotor"]["shaft"][0]["length"] < 10  # m
@@ -181,9 +187,8 @@ def test_configure_writes_what_the_other_stages_read(experiment: str, run: Run, 
 
 @pytest.mark.slow
 def test_a_single_speed(run: Run, tmp_path: Path) -> None:
-    one = ["machine.speeds.start_rpm=1500", "machine.speeds.stop_rpm=1500"]
     for stage in LINE:
-        run(stage, few(DEFAULT, *one), tmp_path / "x")
+        run(stage, few(DEFAULT, "machine.speeds.start_rpm=1500", "machine.speeds.stop_rpm=1500"), tmp_path / "x")
     for name in ("metrics.json", "robustness.json", "prediction.json", "training.json"):
         strict_json(tmp_path / "x" / name)
 

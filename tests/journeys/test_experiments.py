@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts, Run
+from conftest import DATA, Artifacts, Run
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
@@ -162,12 +162,13 @@ def test_check_passes_on_what_the_graph_made(
     assert json.loads((judged / "check.json").read_text(encoding="utf-8")) == artifacts.read(".", "check")
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_check_names_an_experiment_that_was_made_worse(
-    run: Run, judged: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, judged: Path, artifacts: Artifacts, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Trained on the unscaled residual, `hydrostatic_stiffness` exceeds its limits, and its rows come first."""
-    folder = judged / "hydrostatic_stiffness"
-    for stage in ("generate", "train", "evaluate", "predict"):
+    folder = artifacts.copied("hydrostatic_stiffness", DATA, judged / "hydrostatic_stiffness")
+    for stage in ("train", "evaluate", "predict"):
         unscaled = ["loss.scaling=none", "optimizer.levenberg_marquardt.steps=20"]
         run(stage, ["experiment=hydrostatic_stiffness", *unscaled], folder)
     capsys.readouterr()

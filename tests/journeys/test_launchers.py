@@ -22,12 +22,12 @@ CHEAP = [
     *("optimizer.adam.steps=10", "optimizer.levenberg_marquardt.steps=0"),
 ]
 # As a network of the speed, which begins elsewhere for each seed; single parameters all begin at the same guess.
-SEEDS = ["-m", "stage=train", "seed=0,1,2", "experiment=ball_bearing", "model=network", *CHEAP]
+SEEDS = ["-m", "stage=train", "seed=0,1", "experiment=ball_bearing", "model=network", *CHEAP]
 
 
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the three seeds, trained by Hydra's basic launcher."""
+    """The folder of the two seeds, trained by Hydra's basic launcher."""
     folder = tmp_path_factory.mktemp("basic")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -37,18 +37,18 @@ def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("launcher", [["joblib", "hydra.launcher.n_jobs=2"]], ids="-".join)
 def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path) -> None:
-    """Three seeds: a folder each, complete, with the numbers of the jobs that ran one by one."""
+    """Two seeds: a folder each, complete, with the numbers of the jobs that ran one by one."""
     done = python("-m", "pipeline", *SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:], "output=out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     if launcher[0] == "joblib":  # submitit's jobs speak into files of their own
-        assert all(f"[{seed + 1}/3] stage=train seed={seed} " in done.stdout for seed in range(3))
+        assert all(f"[{seed + 1}/2] stage=train seed={seed} " in done.stdout for seed in range(2))
     assert {path.name for path in tmp_path.iterdir()} == {"artifacts", "out"}
     assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
-    names = {"jobs.csv", "jobs.png", *(f"seed-{seed}" for seed in range(3))}
+    names = {"jobs.csv", "jobs.png", *(f"seed-{seed}" for seed in range(2))}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
     answers = []
-    for seed in range(3):
+    for seed in range(2):
         here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
         assert names_in(here) == DATA | ANSWER | {"config.yaml"}
         told = [json.loads((folder / "training.json").read_text()) for folder in (here, there)]
@@ -64,10 +64,10 @@ def test_jobs_side_by_side(launcher: list[str], one_by_one: Path, tmp_path: Path
 
 @pytest.mark.parametrize("launcher", ["submitit_local"])
 def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
-    """The others are done, the command's exit code is that of the mistake, and its reason is found."""
+    """The other is done, the command's exit code is that of the mistake, and its reason is found."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "seed-1").write_text("in the way")
-    given = ("stage=configure", "seed=0,1,2", "experiment=ball_bearing", "tracking=none", "output=out")
+    given = ("stage=configure", "seed=0,1", "experiment=ball_bearing", "tracking=none", "output=out")
     done = python("-m", "pipeline", "-m", f"hydra/launcher={launcher}", *given, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -78,11 +78,11 @@ def test_a_job_that_fails_is_named(launcher: str, tmp_path: Path) -> None:
         said = "".join(path.read_text() for path in (tmp_path / "artifacts/.multirun/.submitit").rglob("*.err"))
     assert_says(
         said,
-        "[2/3] stage=configure seed=1 experiment=ball_bearing tracking=none output=out failed",
+        "[2/2] stage=configure seed=1 experiment=ball_bearing tracking=none output=out failed",
         "'out/seed-1/config.yaml' must be writable",
     )
     assert "Traceback" not in said
-    assert all((tmp_path / "out" / f"seed-{seed}" / "config.yaml").is_file() for seed in (0, 2))
+    assert (tmp_path / "out" / "seed-0" / "config.yaml").is_file()
 
 
 def test_a_multirun_ends_with_its_jobs_side_by_side(

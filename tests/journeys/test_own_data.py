@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import assert_says, pictures_left_out
+from conftest import assert_says
 from machine_files import given_by, machine_file
-from running import ROOT, composed, python
+from running import ROOT, composed
 
 from pipeline.__main__ import main
 from pipeline.config.loader import RESULTS, STAGES
@@ -33,18 +33,6 @@ COMMANDS = [
 COPY, *PIPELINE = COMMANDS
 
 
-def run_command(words: list[str], folder: Path) -> None:
-    """A command of docs/recordings.md in ``folder``; the first one as a user gives it, the others in this process."""
-    assert words[:3] == ["python", "-m", "pipeline"]
-    if words == PIPELINE[0]:
-        done = python(*words[1:], "tracking=none", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        assert "skipped" not in done.stdout
-    else:
-        with pictures_left_out():  # the first command drew them
-            assert main([*words[3:], "tracking=none"]) == 0
-
-
 def check_answer(folder: Path) -> None:
     found = pd.read_csv(folder / "identified_coefficients.csv").groupby("bearing_node").median()
     for node, truth in TRUTH.items():
@@ -53,7 +41,10 @@ def check_answer(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_recipes_of_readme_run_on_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("no_pictures")
+def test_the_recipes_of_readme_run_on_the_examples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Recordings, tables and processed vibration: one command each to all results, in a folder with a space."""
     monkeypatch.chdir(tmp_path)
     assert COPY == ["cp", "-r", "examples/measured_demo", "my rig"]
@@ -62,8 +53,10 @@ def test_the_recipes_of_readme_run_on_the_examples(tmp_path: Path, monkeypatch: 
     assert len(whole) == 3
     assert len([COPY, *whole[:1]]) <= 5  # the bar: five commands at most
     for words in PIPELINE:
-        run_command(words, tmp_path)
+        assert words[:3] == ["python", "-m", "pipeline"]
+        assert main([*words[3:], "tracking=none"]) == 0
         if words in whole:
+            assert "skipped" not in capsys.readouterr().out
             folder = tmp_path / "artifacts" / Path(words[-1]).stem
             for file in (file for stage, file in RESULTS.items() if stage in STAGES):
                 assert (folder / file).exists()

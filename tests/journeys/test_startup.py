@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -16,16 +17,18 @@ import pytest
 from conftest import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from running import FEW_SPEEDS, ROOT
+from running import ENVIRONMENT, FEW_SPEEDS, ROOT
 
 from pipeline import files
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
 from pipeline.config.rotor import RotorConfig
+from pipeline.config.schema import TrackingConfig
 from pipeline.data.tables import read_table, write_table
 from pipeline.errors import ConfigError
 from pipeline.rotor import ross_adapter
 from pipeline.rotor.stored import KIND, hash_rotor, load_modelled_bearings, load_rotor
+from pipeline.tracking import StageRecord, recorder_beside, track, tracker
 
 BALL = ["experiment=ball_bearing", "tracking=none", "optimizer.adam.steps=3", *FEW_SPEEDS]
 
@@ -73,30 +76,22 @@ def test_a_script_takes_one_thread_unless_it_states_more(stated: str) -> None:
 
 @pytest.mark.slow
 def test_training_again_needs_torch_and_little_else(tmp_path: Path) -> None:
-    """Data there, rotor seen before: neither ROSS nor pandas nor torch's compiler."""
-    command = [*BALL, f"output='{tmp_path}'"]
-    assert main(["stage=train", *command]) == 0
-    codes, _, modules = imported_by(["stage=train", *command])
-    assert codes == [0]
+    """Data there, rotor seen before, stated or in a file: neither ROSS nor pandas nor torch's compiler."""
+    of_file = (
+        f"machine.rotor.file='{ROOT / 'examples' / 'measured_demo' / 'rotor.toml'}'",
+        *("machine.rotor.bearing_nodes=[]", "machine.bearings.kind=rotor_file"),
+        "machine.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]",
+    )
+    commands = [
+        ["stage=train", *BALL, *rotor, f"output='{tmp_path / name}'"]
+        for name, rotor in (("stated", ()), ("file", of_file))
+    ]
+    assert [main(command) for command in commands] == [0, 0]
+    codes, _, modules = imported_by(*commands)
+    assert codes == [0, 0]
     assert "torch" in modules
     unneeded = {"ross", "pandas", "torch._dynamo", "matplotlib", "mlflow", "optuna", "pyarrow.dataset"}
     assert unneeded & modules == set()
-
-
-@pytest.mark.slow
-def test_a_rotor_file_seen_before_needs_no_ross(tmp_path: Path) -> None:
-    rotor = ROOT / "examples" / "measured_demo" / "rotor.toml"
-    command = [
-        *BALL,
-        f"machine.rotor.file='{rotor}'",
-        "machine.rotor.bearing_nodes=[]",
-        "machine.bearings.kind=rotor_file",
-        f"output='{tmp_path}'",
-    ]
-    command.append("machine.runs=[{name: one, unbalances: [{node: 2, magnitude: 1e-4}]}]")
-    assert main(["stage=train", *command]) == 0
-    codes, _, modules = imported_by(["stage=train", *command])
-    assert (codes, "ross" in modules) == ([0], False)
 
 
 MISTAKES = [
@@ -200,6 +195,7 @@ def test_another_rotor_has_another_entry(tmp_path: Path) -> None:
     assert here == there != other
 
 
+@pytest.mark.slow
 def test_stages_run_in_the_order_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stage=[generate,train,evaluate]", *BALL, f"output='{tmp_path}'"]) == 0
     said = capsys.readouterr().out
@@ -226,10 +222,6 @@ def test_a_wrong_list_of_stages_is_refused_before_the_first_runs(stages: str, wo
 @pytest.mark.parametrize("killed", [False, True])
 def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool, tmp_path: Path) -> None:
     """Logged once, by the process beside or, where that was killed, by the command itself."""
-    import sqlite3
-
-    from pipeline.config.schema import TrackingConfig
-    from pipeline.tracking import StageRecord, recorder_beside, track, tracker
 
     settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
     history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
@@ -260,7 +252,6 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
 
 @pytest.mark.slow
 def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
-    import sqlite3
 
     command = (
         "import os, psutil\n"
@@ -272,11 +263,14 @@ def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
         "    assert not track(StageRecord({'error': 0.5}, experiment='x', stage='train', ended=2.0), settings)\n"
     )
     (tmp_path / "stage.py").write_text(command)
-    both = '"$0" stage.py && cd folder && "$0" ../stage.py; exit 3'
     (tmp_path / "folder").mkdir()
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    shared = [sys.executable, str(ROOT / "docs" / "recorder.py"), "bash", "-c", both, sys.executable]
-    ended = subprocess.run(shared, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=120)
+    shared = [
+        sys.executable,
+        str(ROOT / "docs" / "recorder.py"),
+        *("bash", "-c", '"$0" stage.py && cd folder && "$0" ../stage.py; exit 3'),
+        sys.executable,
+    ]
+    ended = subprocess.run(shared, capture_output=True, text=True, cwd=tmp_path, env=ENVIRONMENT, timeout=120)
     assert (ended.returncode, ended.stderr) == (3, "")
     first, second = (line.split() for line in ended.stdout.splitlines())
     assert first[0] == second[0] != first[1]
@@ -287,7 +281,6 @@ def test_commands_share_the_process_that_imports_mlflow(tmp_path: Path) -> None:
 
 
 def test_without_tracking_no_process_is_started() -> None:
-    from pipeline.tracking import recorder_beside, tracker
 
     with recorder_beside(False):
         assert tracker._running == []

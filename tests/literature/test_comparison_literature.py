@@ -35,10 +35,11 @@ BLOWS = ("experiment=impulses", "machine.speeds.step_rpm=500")
         ),
         # Kang et al. (2020): a filter from one location is within 2 % at 0.1 % noise.
         ("kalman", Case(0.001, "location", 591), ("experiment=hydrostatic_stiffness",), 2),
-        # Han, Guo and Gao (2013): kriging and differential evolution find constant bearings, robustly under noise.
-        *(("kriging", Case(noise, "all", 60), BALLS, bar) for noise, bar in ((0.0, 0.005), (0.01, 0.4))),
-        # Pavlenko et al. (2018): critical speeds give the stiffness within 5 %, also from one location.
-        *(("critical_speeds", Case(0.0, sensors, 591), BALLS, 5) for sensors in ("all", "location")),
+        # Han, Guo and Gao (2013): kriging and differential evolution find constant bearings, robustly under noise;
+        # Pavlenko et al. (2018): critical speeds give the stiffness within 5 %, also from one location. Clean data of
+        # all nodes are those of tests/comparison/test_cases.py.
+        ("kriging", Case(0.01, "all", 60), BALLS, 0.4),
+        ("critical_speeds", Case(0.0, "location", 591), BALLS, 5),
     ],
 )
 def test_a_method_does_what_its_literature_says(method: str, case: Case, modelled: tuple[str, ...], bar: float) -> None:
@@ -61,7 +62,7 @@ def test_total_least_squares_is_consistent_where_least_squares_is_not() -> None:
 
     def bias(method: str) -> float:
         found = []
-        for i in range(60):
+        for i in range(30):
             case = Case(0.03, "bearings", 60, i)
             found.append(answer(method, case, *FILM).coefficients.coefficient("kyy"))
         return float(np.abs(np.median(np.mean(found, axis=0) / machine(*FILM).truth(case).coefficient("kyy") - 1)))

@@ -14,6 +14,14 @@ from pipeline.config.loader import list_options
 
 pytestmark = pytest.mark.slow
 OTHERS = [name for name in EXPERIMENTS if name != DEFAULT]
+
+
+@pytest.fixture
+def kept(experiment: str, made: Made) -> results.Kept:
+    """Every experiment with few steps, in place of what the graph made."""
+    return made(experiment), few(experiment)
+
+
 # One of the noisy ones, which differ in their unknowns, is tried with every option.
 WITH_OPTIONS = [
     name for name in EXPERIMENTS if name not in ("noisy_direct", "noisy_all", "noisy_stiffness_residual", "impulses")
@@ -21,6 +29,14 @@ WITH_OPTIONS = [
 test_again = at_night(by_day.test_every_stage_of_an_experiment_again_gives_the_same_bits, "experiment", OTHERS)
 test_figures_show_something = at_night(
     results.test_figures_show_something, "experiment", [name for name in OTHERS if name != "realistic"]
+)
+test_files, test_tables, test_metrics = (
+    at_night(test, "experiment", [name for name in results.USUAL if name != DEFAULT])
+    for test in (
+        results.test_files_of_an_experiment,
+        results.test_tables_have_the_columns_that_others_rely_on,
+        results.test_metrics_have_the_shape_that_others_rely_on,
+    )
 )
 test_every_option_of_every_group = at_night(
     by_day.test_every_option_of_every_group,

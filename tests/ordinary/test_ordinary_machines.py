@@ -345,7 +345,8 @@ def test_the_search_ends_at_a_minimum(at_nodes: OutputErrorFit) -> None:
     assert torch.equal(informations[-1:], exact.normal(searched.weights[-1:])[1])
 
 
-def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorFit) -> None:
+@pytest.mark.parametrize("i", [0, pytest.param(-1, marks=pytest.mark.nightly)])
+def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorFit, i: int) -> None:
     """Where the search kept a choice alone that is wrong at one bearing, it finds back what it had found, with the
     rotor, weights and probes of that answer, not to first order about the stated ones.
     """
@@ -354,19 +355,18 @@ def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorF
     assert np.corrcoef(searched.problem.measurement.parameter_values, answer)[0, 1] > 0.8
     nodes = np.geomspace(*model.ranges[0], model.n_functions)
     every = list_choices(searched.problem.measurement, (*LACKS, "unknown"), nodes)
-    for i in (0, -1):
-        wrong = Whitened(searched.problem, every.beside(searched.choices.families[0]).select([i]))
-        start = wrong.minimise(torch.zeros(1, 1, wrong.size, dtype=torch.float64), 1e-3)
-        _, found, ends = look_beside(searched.problem, wrong, every, start, 6, 10.0)
-        assert found.choices.families[0] == searched.choices.families[0]
-        assert found.evidence(ends)[0] > wrong.evidence(start)[0]
+    wrong = Whitened(searched.problem, every.beside(searched.choices.families[0]).select([i]))
+    start = wrong.minimise(torch.zeros(1, 1, wrong.size, dtype=torch.float64), 1e-3)
+    _, found, ends = look_beside(searched.problem, wrong, every, start, 6, 10.0)
+    assert found.choices.families[0] == searched.choices.families[0]
+    assert found.evidence(ends)[0] > wrong.evidence(start)[0]
 
 
 @pytest.mark.parametrize(
     ("seed", "trouble", "kinds"),
     [
-        (151, "none", ("plain", "plain")),
-        (154, "none", ("rolling", "rolling")),
+        pytest.param(151, "none", ("plain", "plain"), marks=pytest.mark.nightly),
+        pytest.param(154, "none", ("rolling", "rolling"), marks=pytest.mark.nightly),
         (443, "support", ("plain on a pedestal", "rolling on a pedestal")),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from conftest import refused
 
 from pipeline.coefficients import COEFFICIENTS
@@ -61,6 +62,7 @@ def respond(rotor: RS.Rotor) -> np.ndarray:
     return response
 
 
+@pytest.mark.slow
 def test_added_mass_is_exact_without_noise_and_within_its_band_with_some(tmp_path: Path) -> None:
     """1e-6 % on exact readings; with 1 % and 0.05 um within 3 %. ROSS's rotor of the answer responds alike."""
     exact, generator = respond(build(MASSES)), np.random.default_rng(1)

@@ -47,6 +47,7 @@ def test_more_is_never_worse(candidates: Candidates) -> None:
     assert (fewer > more).any()
 
 
+@pytest.mark.slow
 def test_the_fewest_runs_and_speeds_are_taken(candidates: Candidates) -> None:
     """What is said to be reached is; one run less, or every larger step, does not reach it."""
     best, everywhere = plan_speeds(candidates, 0.12, 4, [1, 2, 4]), range(len(candidates.rows))

@@ -260,6 +260,7 @@ def test_both_losses_have_the_same_minimiser_on_clean_data(rotor_of: Machine) ->
         assert rows.square().sum().sqrt() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_preconditioned_loss_is_the_distance_from_the_answer_of_each_speed(rotor_of: Machine) -> None:
     """Without regularisation its rows are the relative distance itself; with it, no direction is weighed more."""
     problem = prepared_with(rotor_of, "loss=residual").problem
@@ -289,6 +290,7 @@ def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, root
     return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), root)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
 def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
     rotor_of: Machine, sensors: str, rng: np.random.Generator

@@ -15,6 +15,7 @@ from pipeline.problem.residual import bearing_equations, linear_residual, per_sp
 from pipeline.unknowns import BearingUnknowns, unknown_set
 
 
+@pytest.mark.slow
 def test_the_table_that_ross_evaluates_is_not_its_closed_form(machine: MachineFactory) -> None:
     """Mean over the speeds, percent: ROSS smooths what it computed at the very same speeds."""
     config, made = compose_config(["experiment=all_coefficients"]), machine("experiment=all_coefficients")

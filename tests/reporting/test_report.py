@@ -145,6 +145,7 @@ def test_the_page_can_be_read_and_used_by_keyboard(page: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("paper", "size"), [("A4", b"595.28 841.89"), ("Letter", b"612.00 792.00")])
 def test_a_pdf_has_the_same_sections(paper: str, size: bytes, tmp_path: Path) -> None:
     content = write_pdf(tmp_path / "report.pdf", "A & B", HEAD, _sections(), paper).read_bytes()

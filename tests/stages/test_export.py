@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import Artifacts, Run, bearings_of
+from conftest import ARTIFACTS, Artifacts, Run, bearings_of
 from running import few, names_in
 
 from pipeline.coefficients import COEFFICIENTS
@@ -37,7 +37,6 @@ def made(
     ``realistic`` has model parameters of shaft, discs and coupling, and tables over the speed; ``measured_demo`` has a
     rotor file and constants.
     """
-    from conftest import ARTIFACTS
 
     folder = tmp_path_factory.mktemp("made") / request.param
     shutil.copytree(Artifacts(ARTIFACTS)(request.param, "training.json", "model.safetensors"), folder)

@@ -109,6 +109,7 @@ def test_slow_roll_takes_the_runout_off_but_for_the_noise_of_its_reading() -> No
     assert np.sqrt(np.mean(np.abs(left) ** 2)) == pytest.approx(size, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", ["overhung", "overhung_as_built"])
 def test_trial_weights_are_those_of_a_balancing(machine: str) -> None:
     """At every speed and in every run readings are well above the noise, and orbits below a third of the clearance."""
@@ -254,6 +255,7 @@ def test_refits_are_the_same_in_one_process_and_in_two() -> None:
     assert summary["within_95_percent_interval"] == pytest.approx(np.mean([of.within for of in alone]))
 
 
+@pytest.mark.slow
 def test_refits_need_a_modelled_machine() -> None:
     """Recordings can't be made again."""
     config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])

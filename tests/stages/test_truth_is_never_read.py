@@ -21,7 +21,7 @@ from pipeline.config.schema import Config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import DataError
 from pipeline.problem.measurement import Measurement
-from pipeline.stages import robustness
+from pipeline.stages import robustness, train, tune
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pictures")]  # it trains, or starts processes
 
@@ -149,7 +149,6 @@ def test_what_training_is_given_holds_no_unknown(
     run: Run, config: Config, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The known table that reaches the equations is zero where a coefficient is unknown."""
-    from pipeline.stages import train
 
     seen: list[Measurement] = []
     real = train.prepare
@@ -252,7 +251,6 @@ def test_a_study_chooses_before_any_truth_is_opened(
     run: Run, study: list[str], tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With another truth the trials, the finalists and the choice are the same to the last bit."""
-    from pipeline.stages import tune
 
     chosen: list[Any] = []
     real = tune.choose

@@ -20,6 +20,7 @@ from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 RECORDS = MACHINE / "records.csv"
 
 
+@pytest.mark.slow
 def test_every_record_is_read_at_its_own_speed() -> None:
     """Displacements are the table's accelerations over -w^2, at the housings; the credits stand beside the table."""
     measurement, table = read(compose_config(["experiment=mafaulda", "tracking=none"], MACHINE)), pd.read_csv(RECORDS)
@@ -59,6 +60,7 @@ def test_a_label_is_read_from_the_other_records_alone() -> None:
     assert np.abs(other.expected[2] - true[2]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
     """a / w^k of the displacement, since U = (j w)^k V, beside a floor that all probes share."""
     stated = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um", "ax1": "0 um"}

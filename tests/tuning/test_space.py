@@ -8,13 +8,13 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import assert_says, examples
+from conftest import Machine, assert_says, examples
 from hypothesis import given
 from hypothesis import strategies as st
 from samplers import run as compare_samplers
@@ -24,13 +24,13 @@ from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
 from pipeline.config.schema import Config
 from pipeline.errors import ConfigError, DataError
+from pipeline.identification.residual_loss import fit_chebyshev, initial_parameters, prepare_residual
+from pipeline.identification.training import setup_of
 from pipeline.stages import run_stage
+from pipeline.tuning.finalists import Finalist, TrialSummary, choose
 from pipeline.tuning.space import applies, find_default, make_sampler, suggest, translate
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
-
-if TYPE_CHECKING:
-    from conftest import Machine
 
 EXPERIMENTS = ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"]
 NO_STUDY = "tuning.promoted=no/such/folder"
@@ -241,8 +241,6 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
     """Stiffness that is a polynomial of the logarithm of the speed is identified to rounding."""
     from pipeline.coefficients import COEFFICIENTS
     from pipeline.data.simulate import simulate
-    from pipeline.identification.residual_loss import fit_chebyshev
-    from pipeline.identification.training import setup_of
     from pipeline.rotor.bearing_table import BearingTable
 
     x = np.log(hydrostatic.speeds / hydrostatic.speeds[0]) / np.log(hydrostatic.speeds[-1] / hydrostatic.speeds[0])
@@ -264,8 +262,6 @@ def test_the_held_out_loss_is_the_residual_of_the_equation_of_motion(hydrostatic
     """The same number from the equations themselves, without the reduced rows, whatever the trained loss is."""
 
     from pipeline.identification.held_out import held_out_speeds
-    from pipeline.identification.residual_loss import initial_parameters, prepare_residual
-    from pipeline.identification.training import setup_of
 
     numbers = []
     for scaling in ("per_speed", "none"):
@@ -368,7 +364,6 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
 
 
 def _finalist(trial: int, *losses: float) -> Any:
-    from pipeline.tuning.finalists import Finalist
 
     return Finalist(trial, {"model.width": trial}, np.array(losses), (), (), 0.0)
 
@@ -390,7 +385,6 @@ def _finalist(trial: int, *losses: float) -> Any:
 )
 def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
     """Promoted is the best of the unluckiest seeds, where the median falls enough; luck and rounding do not count."""
-    from pipeline.tuning.finalists import choose
 
     finalists = [_finalist(0, *default), *(_finalist(int(number), *losses) for number, *losses in others)]
     assert choose(finalists, untuned().tuning).trial == chosen
@@ -398,7 +392,6 @@ def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], cho
 
 def test_the_best_so_far_leaves_the_default_out() -> None:
     """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.tuning.finalists import TrialSummary
     from pipeline.tuning.worker import ROUNDING
 
     losses = [1e-9, 1e-2, None, 1e-3, 1e-1, 1e-20]

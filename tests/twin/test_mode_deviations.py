@@ -123,6 +123,7 @@ def rolling() -> Machine:
     return replace(made, bearings=replace(made.bearings, values=values))
 
 
+@pytest.mark.slow
 def test_intervals_of_critical_speeds_hold(rolling: Machine) -> None:
     """A linear-Gaussian toy: of 400 seeded draws of the numbers, the share within 1.96 deviations is 95 %.
 
@@ -287,6 +288,7 @@ def test_a_stable_machine_whose_margin_may_be_zero_is_stable_as_identified(devia
     assert [text in said for text in (" speeds as identified;", "rpm, within its band of zero")] == [near, near]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rpm", [0, 3000])
 def test_responses_alone_show_the_decrements_of_ross(rpm: int) -> None:
     """Pushed at a disc, by ROSS's matrices with 1 % of noise, against its modes; those of the model are off by half."""
