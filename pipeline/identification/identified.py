@@ -147,14 +147,13 @@ class Answer:
         return self.model.table(self.measurement.updated_known)
 
     @cached_property
-    def deviation(self) -> np.ndarray | None:
-        """(B, S, 8) standard deviations at the points of the data."""
-        return self.deviation_at(self.table)
+    def stated(self) -> BearingTable:
+        """The same with their standard deviations."""
+        return self.state(self.table)
 
-    def deviation_at(self, table: BearingTable) -> np.ndarray | None:
-        """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
-        stated = self.uncertainty
-        return None if stated is None else stated.deviation(table.speeds, table.operating)
+    def state(self, table: BearingTable) -> BearingTable:
+        """The ``table`` with the standard deviations at its points, where the fit states some."""
+        return self.uncertainty.state(table) if self.uncertainty else table
 
     @property
     def tags(self) -> dict[str, str]:

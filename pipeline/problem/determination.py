@@ -70,35 +70,27 @@ def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
     return sizes
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
-    """Coefficients with their standard deviations, and of which answer these are."""
+def relative_deviation(table: BearingTable) -> np.ndarray:
+    """(B, S, 8) standard deviations of the coefficients over their sizes; infinite where that is zero."""
+    sizes = measure_sizes(table.values)
+    return np.asarray(np.divide(table.spread, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0))
 
-    table: BearingTable
-    values: np.ndarray  # (B, S, 8) N/m and N s/m; NaN where nothing is identified
-    of: str  # in words: whose deviations
 
-    @property
-    def relative(self) -> np.ndarray:
-        """(B, S, 8) over their sizes; infinite where that is zero."""
-        sizes = measure_sizes(self.table.values)
-        return np.asarray(np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0))
+def find_lost(table: BearingTable) -> np.ndarray:
+    """(B, S, 8) bool: where a coefficient is not determined; nowhere of what has no deviation."""
+    return np.asarray(np.isfinite(table.spread) & ~(relative_deviation(table) < WEAKLY_BELOW))
 
-    @property
-    def lost(self) -> np.ndarray:
-        """(B, S, 8) bool: where it is not determined; nowhere of what has no deviation."""
-        return np.asarray(np.isfinite(self.values) & ~(self.relative < WEAKLY_BELOW))
 
-    def judge(self) -> tuple[Determined, ...]:
-        """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
-        relative, judged = self.relative[:, self.table.bounded], []
-        for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
-            share = relative[b, :, c]
-            lost = ~(share < WEAKLY_BELOW)
-            where = write_where(self.table.speeds[self.table.bounded], lost)
-            size, part = float(np.median(share)), float(np.mean(lost))
-            judged.append(Determined(self.table.nodes[b], COEFFICIENTS[c], size, part, where))
-        return tuple(judged)
+def judge_determined(table: BearingTable) -> tuple[Determined, ...]:
+    """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
+    relative, judged = relative_deviation(table)[:, table.bounded], []
+    for b, c in np.argwhere(~np.isnan(table.spread).all(axis=1)):
+        share = relative[b, :, c]
+        lost = ~(share < WEAKLY_BELOW)
+        where = write_where(table.speeds[table.bounded], lost)
+        size, part = float(np.median(share)), float(np.mean(lost))
+        judged.append(Determined(table.nodes[b], COEFFICIENTS[c], size, part, where))
+    return tuple(judged)
 
 
 def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> str:

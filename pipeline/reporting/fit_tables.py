@@ -15,7 +15,7 @@ from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, li
 from pipeline.identification.identified import Fit, FittedParameter
 from pipeline.identification.uncertainty import Uncertainty
 from pipeline.parameters.model import KINDS
-from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.problem.determination import describe_determined, judge_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table, warn
@@ -32,8 +32,7 @@ def make_error_table(
     Measured data have no modelled coefficients, and so neither these columns nor errors.
     """
     answer, rows = shown.identified, list[dict[str, Any]]()
-    judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
-    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
+    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judge_determined(answer)}
     for b, node in enumerate(answer.nodes):
         for name in shown.unknowns[b]:
             error = (errors or {}).get(str(node), {}).get(name, {})
@@ -44,12 +43,12 @@ def make_error_table(
                 {
                     "bearing_node": node,
                     "coefficient": name,
-                    "modelled": shown.modelled[b, :, c].mean(),
+                    "modelled": shown.truth[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
                     "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
                     "median_std_percent": float(
-                        100 * np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+                        100 * np.median(answer.spread[b, :, c] / np.abs(answer.values[b, :, c]))
                     ),
                     "verdict": verdicts.get((node, name)),
                 }

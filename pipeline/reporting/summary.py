@@ -160,7 +160,8 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
     rows = [(b, name) for b, names in enumerate(shown.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
         head, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
-        pairs = [(float(shown.identified.values[b, s, c]), float(shown.deviation[b, s, c])) for _, s in columns]
+        answer = shown.identified
+        pairs = [(float(answer.values[b, s, c]), float(answer.spread[b, s, c])) for _, s in columns]
         cells = [f"{format_engineering(*pair):>22}" for pair in pairs]
         error = float(np.median(shown.measure_errors(b, name)))
         lines.append("".join([head, *cells, f"{write_rough(error):>12}" if shown.compared else ""]))

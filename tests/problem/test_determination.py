@@ -16,8 +16,8 @@ from pipeline.problem.determination import (
     WELL_BELOW,
     Determination,
     Determined,
-    Deviations,
     describe_determined,
+    judge_determined,
     read_determined,
     summarize_determined,
 )
@@ -48,9 +48,9 @@ def judged() -> tuple[Determined, ...]:
     deviation = np.full((1, 4, 8), np.nan)
     deviation[0, :, COEFFICIENTS.index("kxx")] = 0.02
     deviation[0, :, COEFFICIENTS.index("kyy")] = np.inf
-    return Deviations(
-        BearingTable((3,), np.arange(10.0, 50.0, 10.0) * RAD_S_PER_RPM, values), deviation, "a test"
-    ).judge()
+    return judge_determined(
+        BearingTable((3,), np.arange(10.0, 50.0, 10.0) * RAD_S_PER_RPM, values, deviation=deviation)
+    )
 
 
 def test_a_median_over_the_speeds_and_where_it_does_not_hold() -> None:

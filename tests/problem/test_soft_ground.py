@@ -25,7 +25,7 @@ from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
-from pipeline.problem.determination import Determination
+from pipeline.problem.determination import Determination, judge_determined, relative_deviation
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.reporting.diagnosis import describe_series
@@ -266,8 +266,8 @@ def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions()
     made, _ = seen_in_x(0.0, Guess(1e7, 1e4))
     setup = default_setup(made.guess, constant=True)
     diagnosis = loss_of(setup.loss).diagnose(made, setup)
-    for deviations in (diagnosis.deviations, loss_of(setup.loss).expect(made, setup, diagnosis)):
-        found = {(each.node, each.name): each.verdict is Determination.NOT for each in deviations.judge()}
+    for expected in (diagnosis.expected, loss_of(setup.loss).expect(made, setup, diagnosis)):
+        found = {(each.node, each.name): each.verdict is Determination.NOT for each in judge_determined(expected)}
         assert found == {(node, name): "y" in name for node in NODES for name in ("kxx", "kyy", "cxx", "cyy")}
 
 
@@ -276,7 +276,7 @@ def test_a_probe_in_x_tells_of_y_what_the_true_bearings_would_let_it_tell() -> N
     made, real = seen_in_x(0.3, Guess(1e6, 1e3))
     setup = default_setup(made.guess, constant=True)
     loss = loss_of(setup.loss)
-    foretold = loss.expect(made, setup, loss.diagnose(made, setup)).relative
+    foretold = relative_deviation(loss.expect(made, setup, loss.diagnose(made, setup)))
     problem = prepare_output_error(made, setup).problem
     leading = made.unknowns.leading(real.values)
     true = problem.unknown_deviation(start_at(problem, leading))[0] / made.unknowns.to_active(leading)

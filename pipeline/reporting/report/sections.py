@@ -61,7 +61,9 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
         told = [name for name in names if not several or name[1] == name[2]] or names
         for name in told:
             (scale, unit), place = UNITS[name[0]], (b, at, COEFFICIENTS.index(name))
-            number = write_number(scale * float(shown.identified.values[place]), scale * float(shown.deviation[place]))
+            number = write_number(
+                scale * float(shown.identified.values[place]), scale * float(shown.identified.spread[place])
+            )
             said = " (not determined)" if shown.lost[place] else f" {number} {unit}"
             values.append(f"{f'at node {node} ' * (name == told[0])}{name}{said}")
     known = ", with one standard deviation" if shown.stated else ""
