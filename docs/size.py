@@ -21,15 +21,15 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1734,
+    "config": 1730,
     "laws": 493,
     "rotor": 749,
-    "data": 1079,
+    "data": 1077,
     "parameters": 454,
-    "sweep": 245,
-    "ingest": 1673,
+    "sweep": 247,
+    "ingest": 1661,
     "problem": 1507,
-    "identification": 2954,
+    "identification": 2940,
     "evaluation": 214,
     "twin": 495,
     "balance": 670,
@@ -38,18 +38,18 @@ STATEMENTS = {
     "methods": 546,
     "comparison": 116,
     "tuning": 487,
-    "reporting": 2514,
+    "reporting": 2491,
     "tracking": 348,
     "stages": 1106,
-    "beside the rooms": 576,
+    "beside the rooms": 574,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18826, 14500),
+    "statements of pipeline/": (18771, 14500),
     "files": (249, 250),
-    "classes": (328, 260),
-    "is None, is not None": (325, 420),
+    "classes": (327, 260),
+    "is None, is not None": (326, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (44, 150),
     "bindings named by empty words": (117, 200),

@@ -61,7 +61,17 @@ def print_error_table(name: str, errors: Sequence[Mapping[str, Any]]) -> None:
     """Print the table on the screen."""
     columns = [column for column in _SHOWN if any(column in row for row in errors)]
     rows = [
-        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(c, row.get(c, np.nan)) for c in columns)]
+        [
+            f"node {row['bearing_node']} {row['coefficient']}",
+            *(
+                value
+                if isinstance(value := row.get(column, np.nan), str)
+                else format_engineering(value)
+                if column in ("modelled", "identified")
+                else write_rough(value)
+                for column in columns
+            ),
+        ]
         for row in errors
     ]
     what = "identified against modelled" if "modelled" in columns else "identified"
@@ -80,12 +90,6 @@ _SHOWN = {
     "median_std_percent": "median std %",
     "verdict": "verdict",
 }
-
-
-def _format(column: str, value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    return format_engineering(value) if column in ("modelled", "identified") else write_rough(value)
 
 
 def describe_verdicts(about: Mapping[str, Any]) -> str:
@@ -114,13 +118,13 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
 def tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
     every = fitted.quality.bad_points
-    names = every[0].operating if every else ()
-    conditions = {name: np.array([point.operating[name] for point in every]) for name in names}
+    names = every[0]["operating"] if every else ()
+    conditions = {name: np.array([point["operating"][name] for point in every]) for name in names}
     return {
-        "run": [point.run for point in every],
-        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
+        "run": [point["run"] for point in every],
+        "speed_rpm": to_rpm(np.array([point["speed"] for point in every])).tolist(),
         **{name: values.tolist() for name, values in list_columns(conditions).items()},
-        **{name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")},
+        **{name: [point[name] for point in every] for name in ("node", "direction", "deviations")},
     }
 
 

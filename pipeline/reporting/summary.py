@@ -52,6 +52,11 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     """Write the whole screen; it ends with a newline."""
     config, judged = content.config, content.machine_verdict
     whole = (judged["reservation"] or f"{judged['verdict']}: {judged['reason']}").rstrip(".")
+    rotor, file = content.measurement.rotor, config.machine.rotor.file
+    machine = (
+        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
+        f"discs at {_name_nodes(rotor.disc_nodes)}" + (f", from '{file}'" if file else "")
+    )
     numbers = [
         f"{number['label']} {write_number(number['value'], number['deviation'])} {number['unit']}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)
@@ -59,7 +64,7 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     lines = [
         *_wrap(f"{config.name}: {config.description}", "", 1),
         "",
-        *_wrap_entry("machine", _describe_machine(content)),
+        *_wrap_entry("machine", machine),
         *_wrap_entry("data", describe_data(content, fit)),
         "",
         *_list_coefficients(config, fit),
@@ -96,15 +101,6 @@ def _wrap_entry(name: str, text: str) -> list[str]:
 def _wrap(text: str, first: str, lines: int) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, initial_indent=first, subsequent_indent=_INDENT, max_lines=lines, placeholder=" ..."
-    )
-
-
-def _describe_machine(content: ReportContent) -> str:
-    rotor, file = content.measurement.rotor, content.config.machine.rotor.file
-    source = f", from '{file}'" if file else ""
-    return (
-        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
-        f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
 

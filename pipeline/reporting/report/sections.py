@@ -161,9 +161,16 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 
 
 def describe_diagnosis(content: ReportContent) -> list[Block]:
-    """What the data determine before any fit: rank, condition, deviations."""
+    """What the data determine before any fit: rank, condition, deviations; and what the fit found otherwise."""
     diagnosis = content.files["diagnosis"]
     noise, expected = content.config.describe_noise(), diagnosis["determined"]
+    after = content.fit.training["determined"]["coefficients"] if content.fit else {}
+    other = [
+        f"{entry.name} at node {entry.node} is {entry.verdict.value} (expected: {before})"
+        for entry in read_determined(after)
+        if (before := expected["coefficients"].get(str(entry.node), {}).get(entry.name, {}).get("verdict", ""))
+        != entry.verdict.value
+    ]
     return [
         (
             f"Before the fit, at each speed by itself, at {noise} (root mean square, zero-to-peak). A fit over all "
@@ -179,22 +186,12 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
             f"Expected standard deviation, {expected['by']} (median over the speed)",
             read_determined(expected["coefficients"]),
         ),
-        *_compare_determined(content, expected["coefficients"]),
+        *[
+            "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
+            f"{'; '.join(other)}. What was found counts."
+        ]
+        * bool(other),
     ]
-
-
-def _compare_determined(content: ReportContent, expected: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What the fit found otherwise than it was expected; nothing where there is no fit, or nothing of the kind."""
-    after = content.fit.training["determined"]["coefficients"] if content.fit else {}
-    other = [
-        f"{entry.name} at node {entry.node} is {entry.verdict.value} (expected: {before})"
-        for entry in read_determined(after)
-        if (before := expected.get(str(entry.node), {}).get(entry.name, {}).get("verdict", "")) != entry.verdict.value
-    ]
-    return [
-        "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
-        f"{'; '.join(other)}. What was found counts."
-    ] * bool(other)
 
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:
