@@ -287,8 +287,10 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         return {name: (every[name] - middle) / full for name in names or every}, float(rate)
 
 
-_Read = Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]
-_READERS: dict[str, tuple[_Read, str, Callable[[Path], Contents]]] = {
+_READERS: dict[
+    str,
+    tuple[Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]], str, Callable[[Path], Contents]],
+] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file", _list_hdf5)),
     ".tdms": (_read_tdms, "complete TDMS file", _list_tdms),
     ".mat": (partial(_read_variables, read_mat), "complete MAT file", _list_mat),

@@ -36,7 +36,6 @@ from pipeline.problem.residual import BearingEquations, LinearResidual, linear_r
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
-BY_ITSELF = "each speed by itself"
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy over the guess, of the bearing that few sensors are judged by: one that is the same in all directions
 would show circular orbits, from which less follows than from those of real bearings."""
@@ -84,7 +83,7 @@ def _diagnose_least_squares(
     reports = judge_identifiability(equations, residual, constant)
     answer = measurement.table(per_speed_least_squares(residual))
     spread = measurement.unknowns.expand_deviation(least_squares_deviation(whiten(residual, find_root(answer))))
-    return Diagnosis(reports, replace(answer, deviation=spread, by=BY_ITSELF))
+    return Diagnosis(reports, replace(answer, deviation=spread, by="each speed by itself"))
 
 
 def diagnose_response(

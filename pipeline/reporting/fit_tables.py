@@ -12,8 +12,9 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import list_columns, write_condition
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, list_contradicted
-from pipeline.identification.identified import Fit, FittedParameter
+from pipeline.identification.identified import Fit
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.kind import ModelParameter
 from pipeline.parameters.model import KINDS
 from pipeline.problem.determination import describe_determined, judge_determined, read_determined
 from pipeline.reporting.blocks import Table
@@ -140,16 +141,16 @@ def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]]:
+def tabulate_parameters(every: Sequence[ModelParameter]) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit; supports' numbers."""
-    numbers, keys = [number.number for number in every], ("number", "number_deviation")
+    numbers, keys = [parameter.number for parameter in every], ("number", "number_deviation")
     table: dict[str, list[Any]] = {
-        "kind": [number.parameter.kind for number in every],
-        "of": [number.parameter.label for number in every],
-        "unit": [number.parameter.row.unit for number in every],
-        "prior_std": [number.parameter.deviation for number in every],
-        "value": [number.parameter.shift for number in every],
-        "std": [number.deviation * number.parameter.deviation for number in every],
+        "kind": [parameter.kind for parameter in every],
+        "of": [parameter.label for parameter in every],
+        "unit": [parameter.row.unit for parameter in every],
+        "prior_std": [parameter.deviation for parameter in every],
+        "value": [parameter.shift for parameter in every],
+        "std": [parameter.left * parameter.deviation for parameter in every],
     }
     return table | {key: [support.get(key, "") for support in numbers] for key in keys if any(numbers)}
 
@@ -197,7 +198,6 @@ def _write_held(kind: str, place: str, number: float, deviation: float) -> str:
     return f"{write_number(hertz, hertz * deviation / (2 * number))} Hz"
 
 
-_ZERO_CELSIUS = 273.15
 _UNITS = {
     "radial_clearance": ("um", 1e6, 0.0),
     "journal_diameter": ("mm", 1e3, 0.0),
@@ -206,7 +206,7 @@ _UNITS = {
     "viscosity": ("mPa s", 1e3, 0.0),
     "slope": ("1/K", 1.0, 0.0),
     "b": ("K", 1.0, 0.0),
-    "c": ("degC", 1.0, -_ZERO_CELSIUS),
+    "c": ("degC", 1.0, -273.15),
     "contact_angle": ("deg", 180.0 / np.pi, 0.0),
 }
 """By the last part of a number's name: the unit that is shown, what SI is multiplied by, and what is added."""

@@ -106,9 +106,9 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     )
     stated = config.identify.model_parameters.deviations
     told = {
-        number.parameter.name: summary["model_parameters"][number.parameter.name]
-        for number in fitted.parameters
-        if number.parameter.kind in stated or abs(number.parameter.value) > 1
+        parameter.name: summary["model_parameters"][parameter.name]
+        for parameter in fitted.parameters
+        if parameter.kind in stated or abs(parameter.value) > 1
     }
     table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):

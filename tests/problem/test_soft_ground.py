@@ -35,7 +35,7 @@ from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor, place_probe
 from pipeline.trust.judgement import describe_supports
 from pipeline.twin.modes import find_modes
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 NODES, SPEEDS = (1, 6), np.linspace(100.0, 700.0, 30)
 FILMS = {
@@ -91,7 +91,7 @@ def measured(
     data, stated = readings(load_rotor(config()), measures), load_rotor(config(off=True))
     if noise:
         data = add_noise(data, noise.deviation(data.displacement), np.random.default_rng(seed))
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(COEFFICIENTS)))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(COEFFICIENTS)))
     known = BearingTable(NODES, SPEEDS, np.zeros((2, len(SPEEDS), 8)))
     parameters = model_parameters(dict.fromkeys(KINDS, 1.0), stated, data, known, unknowns)
     guess = Guess(1e7, 1e4, within=30.0)
@@ -101,7 +101,7 @@ def measured(
 
 def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shares by which films (B, 8) and supports (T,) are off, and the deviations (T,) of the latter."""
-    numbers = {p.parameter: p.number for p in answer.parameters}
+    numbers = {p: p.number for p in answer.parameters}
     true = np.array([SUPPORTS[NODES[p.place - 9]][KINDS[p.kind] + 2 * p.detail] for p in numbers])
     shares = np.array([[n["number"], n["number_deviation"]] for n in numbers.values()]) / true[:, None]
     return answer.table(films()).values[:, 0] / np.array([*FILMS.values()]) - 1, shares[:, 0] - 1, shares[:, 1]
@@ -257,7 +257,7 @@ def seen_in_x(turning: float, guess: Guess) -> tuple[Measurement, BearingTable]:
     rotor = replace(rotor, gyroscopic=turning * rotor.gyroscopic)
     real, nothing = (replace(films(), values=films().values * kept) for kept in (np.isin(COEFFICIENTS, names), 0.0))
     data, noise = project(simulate(rotor, real, WEIGHTS), ((1, 0.0), (6, 0.0))), NoiseModel(5e-8, 0.01)
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(names)))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(names)))
     return Measurement(rotor, data, nothing, noise, unknowns, guess), real
 
 
