@@ -28,12 +28,12 @@ STATEMENTS = {
     "parameters": 453,
     "sweep": 247,
     "ingest": 1657,
-    "problem": 1506,
+    "problem": 1508,
     "identification": 2932,
     "evaluation": 214,
     "twin": 495,
     "balance": 670,
-    "trust": 699,
+    "trust": 694,
     "export": 167,
     "methods": 546,
     "comparison": 116,
@@ -46,9 +46,9 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18741, 14500),
+    "statements of pipeline/": (18738, 14500),
     "files": (249, 250),
-    "classes": (325, 260),
+    "classes": (324, 260),
     "is None, is not None": (326, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),

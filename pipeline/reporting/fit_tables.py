@@ -33,7 +33,9 @@ def make_error_table(
     Measured data have no modelled coefficients, and so neither these columns nor errors.
     """
     answer, rows = shown.identified, list[dict[str, Any]]()
-    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judge_determined(answer)}
+    verdicts = {
+        (determined.node, determined.name): determined.verdict.determined for determined in judge_determined(answer)
+    }
     for b, node in enumerate(answer.nodes):
         for name in shown.unknowns[b]:
             error = (errors or {}).get(str(node), {}).get(name, {})

@@ -24,7 +24,7 @@ from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
 from pipeline.ingest.plausibility import measure_backward
-from pipeline.problem.determination import Determined, describe_determined, judge_determined
+from pipeline.problem.determination import Determined, Verdict, describe_determined, judge_determined
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.linearised import Gains, weigh_candidates
@@ -35,7 +35,6 @@ from pipeline.trust.verdict import (
     ORDER,
     CoefficientVerdict,
     Reason,
-    Verdict,
     find_contradicted,
     gravest,
     judge_coefficient,

@@ -14,8 +14,8 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import (
     WEAKLY_BELOW,
     WELL_BELOW,
-    Determination,
     Determined,
+    Verdict,
     describe_determined,
     judge_determined,
     read_determined,
@@ -29,15 +29,15 @@ from pipeline.write_numbers import write_where
 @pytest.mark.parametrize(
     ("deviation", "verdict"),
     [
-        (0.99 * WELL_BELOW, Determination.WELL),
-        (WELL_BELOW, Determination.WEAKLY),
-        (0.99 * WEAKLY_BELOW, Determination.WEAKLY),
-        (WEAKLY_BELOW, Determination.NOT),
-        (np.inf, Determination.NOT),
-        (np.nan, Determination.NOT),
+        (0.99 * WELL_BELOW, Verdict.GOOD),
+        (WELL_BELOW, Verdict.WITH_CARE),
+        (0.99 * WEAKLY_BELOW, Verdict.WITH_CARE),
+        (WEAKLY_BELOW, Verdict.NO),
+        (np.inf, Verdict.NO),
+        (np.nan, Verdict.NO),
     ],
 )
-def test_the_limits(deviation: float, verdict: Determination) -> None:
+def test_the_limits(deviation: float, verdict: Verdict) -> None:
     assert Determined(1, "kxx", deviation).verdict is verdict
 
 

@@ -25,7 +25,7 @@ from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
-from pipeline.problem.determination import Determination, judge_determined, relative_deviation
+from pipeline.problem.determination import Verdict, judge_determined, relative_deviation
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.reporting.diagnosis import describe_series
@@ -267,7 +267,7 @@ def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions()
     setup = default_setup(made.guess, constant=True)
     diagnosis = loss_of(setup.loss).diagnose(made, setup)
     for expected in (diagnosis.expected, loss_of(setup.loss).expect(made, setup, diagnosis)):
-        found = {(each.node, each.name): each.verdict is Determination.NOT for each in judge_determined(expected)}
+        found = {(each.node, each.name): each.verdict is Verdict.NO for each in judge_determined(expected)}
         assert found == {(node, name): "y" in name for node in NODES for name in ("kxx", "kyy", "cxx", "cyy")}
 
 

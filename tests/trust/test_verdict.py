@@ -73,7 +73,7 @@ def test_verdict_and_determination_are_one_scale() -> None:
         judged = of(record(evidence), "kxx")["verdict"]
         (determined,) = [each for each in judge_determined(evidence.answer) if each.name == "kxx"]
         words = {"good": "well determined", "with care": "weakly determined", "no": "not determined"}
-        assert determined.verdict.value == words[judged]
+        assert determined.verdict.determined == words[judged]
 
 
 @pytest.mark.parametrize(

@@ -166,10 +166,10 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
     noise, expected = content.config.describe_noise(), diagnosis["determined"]
     after = content.fit.training["determined"]["coefficients"] if content.fit else {}
     other = [
-        f"{entry.name} at node {entry.node} is {entry.verdict.value} (expected: {before})"
+        f"{entry.name} at node {entry.node} is {entry.verdict.determined} (expected: {before})"
         for entry in read_determined(after)
         if (before := expected["coefficients"].get(str(entry.node), {}).get(entry.name, {}).get("verdict", ""))
-        != entry.verdict.value
+        != entry.verdict.determined
     ]
     return [
         (
