@@ -51,15 +51,14 @@ def _run_command(arguments: list[str]) -> None:
         # A folder of machines is read here and not by Hydra.
         given, options.config_dir = options.config_dir, None
         folder = None if given is None else Path(os.path.abspath(Path(given).expanduser()))
-        if not _list_commands(options) and all(map(_is_plain, options.overrides)):
+        # Overrides of the pipeline's own keys: a command of these alone needs nothing of Hydra's launchers.
+        if not _list_commands(options) and all(
+            "=" in override and not override.startswith("-") and not parse_key(override).startswith("hydra")
+            for override in options.overrides
+        ):
             _run_stages(options.overrides, folder)
         else:
             _run_hydra(options, folder)
-
-
-def _is_plain(argument: str) -> bool:
-    """An override of the pipeline's own keys: a command of these alone needs nothing of Hydra's launchers."""
-    return "=" in argument and not argument.startswith("-") and not parse_key(argument).startswith("hydra")
 
 
 def _run_stages(overrides: list[str], folder: Path | None) -> None:

@@ -13,7 +13,7 @@ members have, S speeds, 8 coefficients in the order of :data:`pipeline.coefficie
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -32,26 +32,21 @@ _TIES: dict[str, tuple[tuple[str, str, int], ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class BearingUnknowns:
-    """The coefficients that are identified at one bearing, and their structure."""
+Tied = Mapping[CoefficientName, tuple[str, int]]
+"""What is identified at one bearing: coefficient -> (its unknown, sign)."""
 
-    coefficients: tuple[CoefficientName, ...]
-    structure: Structure = "none"
 
-    def __post_init__(self) -> None:
-        for follower, leader, _ in _TIES[self.structure]:
-            if (follower in self.coefficients) != (leader in self.coefficients):
-                named, other = (follower, leader) if follower in self.coefficients else (leader, follower)
-                raise ValueError(
-                    f"structure {self.structure} ties {leader} and {follower}: both must be unknown or neither, but "
-                    f"{named} is and {other} is not"
-                )
-
-    def places(self) -> dict[str, tuple[str, int]]:
-        """Coefficient -> (its unknown, sign)."""
-        followers = {follower: (leader, sign) for follower, leader, sign in _TIES[self.structure]}
-        return {name: followers.get(name, (name, 1)) for name in self.coefficients}
+def tie(coefficients: Sequence[CoefficientName], structure: Structure = "none") -> Tied:
+    """The ``coefficients`` that are identified at one bearing, of a structure. Raises ValueError for half of a tie."""
+    for follower, leader, _ in _TIES[structure]:
+        if (follower in coefficients) != (leader in coefficients):
+            named, other = (follower, leader) if follower in coefficients else (leader, follower)
+            raise ValueError(
+                f"structure {structure} ties {leader} and {follower}: both must be unknown or neither, but {named} is "
+                f"and {other} is not"
+            )
+    followers = {follower: (leader, sign) for follower, leader, sign in _TIES[structure]}
+    return {name: followers.get(name, (name, 1)) for name in coefficients}
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,15 +135,14 @@ class UnknownSet:
         return result
 
 
-def unknown_set(of: Mapping[int, BearingUnknowns], shared: bool = False, planes: tuple[int, ...] = ()) -> UnknownSet:
+def unknown_set(tied: Mapping[int, Tied], shared: bool = False, planes: tuple[int, ...] = ()) -> UnknownSet:
     """The unknowns of the bearings at these nodes, in the order of the mapping."""
-    places = [bearing.places() for bearing in of.values()]
-    asked = dict.fromkeys(name for bearing in of.values() for name in bearing.coefficients)
-    leaders = {leader for place in places for leader, _ in place.values()}
+    asked = dict.fromkeys(name for bearing in tied.values() for name in bearing)
+    leaders = {leader for bearing in tied.values() for leader, _ in bearing.values()}
     names = tuple(name for name in asked if name in leaders)
-    expansion = np.zeros((len(places), len(COEFFICIENTS), len(names)))
-    for b, place in enumerate(places):
-        for coefficient, (leader, sign) in place.items():
+    expansion = np.zeros((len(tied), len(COEFFICIENTS), len(names)))
+    for b, bearing in enumerate(tied.values()):
+        for coefficient, (leader, sign) in bearing.items():
             expansion[b, COEFFICIENTS.index(coefficient), names.index(leader)] = sign
     return UnknownSet(names, expansion, shared, planes)
 

@@ -113,9 +113,9 @@ def bearings_of(nodes: tuple[int, ...], speeds: np.ndarray, **coefficients: floa
 
 def unknown_at_all(nodes: tuple[int, ...], names: Sequence[str], shared: bool = False) -> UnknownSet:
     """The same coefficients unknown at every bearing, without a structure."""
-    from pipeline.unknowns import BearingUnknowns, unknown_set
+    from pipeline.unknowns import tie, unknown_set
 
-    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(tuple(names))), shared)
+    return unknown_set(dict.fromkeys(nodes, tie(tuple(names))), shared)
 
 
 def known_names(config: Config) -> tuple[str, ...]:

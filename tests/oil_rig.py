@@ -22,7 +22,7 @@ from pipeline.laws.law_set import LawsConfig, LawSet, make_laws
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 NODES = (8, 21)
 NOISE = NoiseModel(5e-8, 0.01)
@@ -77,7 +77,7 @@ def measure(
     seen = [p for p, (node, _) in enumerate(clean.channels) if node in NODES]
     clean = replace(clean, channels=tuple(clean.channels[p] for p in seen), displacement=clean.displacement[:, seen])
     data = add_noise(clean, NOISE.deviation(clean.displacement), np.random.default_rng(seed))
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(get_args(CoefficientName))))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(get_args(CoefficientName))))
     known = replace(truth, values=np.zeros_like(truth.values))
     return Measurement(rotor, data, known, NOISE, unknowns, GUESS, laws=laws)
 

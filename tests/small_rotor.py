@@ -17,7 +17,7 @@ from pipeline.problem.configured import build_measurement, model_machine, read_p
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 NOISE = 2e-7
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
@@ -52,7 +52,7 @@ def small_machine(
     channels = tuple((node, angle) for node in (0, 5) for angle in (20.0, 110.0))
     weights = tuple(Excitation(run, "unbalance", 2, 5e-4, angle) for run, angle in zip("ab", angles, strict=True))
     data = VibrationDataset(speeds, ("a", "b"), channels, np.ones((len(speeds), 4, 2), complex), weights)
-    unknowns = unknown_set(dict.fromkeys((0, 5), BearingUnknowns(("kxx", "kyy", "cxx", "cyy"))))
+    unknowns = unknown_set(dict.fromkeys((0, 5), tie(("kxx", "kyy", "cxx", "cyy"))))
     made = Measurement(model, data, bearings, NoiseModel(NOISE, 0.0), unknowns, Guess(1e6, 1e3))
     exact = replace(data, displacement=made.response.predict(bearings))
     deviation = np.full(exact.displacement.shape, noise)

@@ -183,11 +183,11 @@ def _measure_errors(
 ) -> dict[str, dict[str, CoefficientResult]]:
     truth, names = machine.truth(case), data.unknowns.by_bearing
     every = measure_errors(answer.coefficients, truth, names)
-    inside = list_coverage(answer.coefficients, truth, answer.deviation, names)
+    inside = list_coverage(answer.coefficients, truth, names)
     results: dict[str, dict[str, CoefficientResult]] = {}
     for b, node in enumerate(truth.nodes):
         for name, error in every[str(node)].items():
-            deviation = answer.deviation[b, :, COEFFICIENTS.index(name)]
+            deviation = answer.coefficients.spread[b, :, COEFFICIENTS.index(name)]
             median = float(100 * np.median(deviation / np.abs(truth.coefficient(name)[b])))
             results.setdefault(str(node), {})[name] = {
                 "median_error": error["median_error_percent"],

@@ -284,14 +284,9 @@ def _choose_experiment(composed: Mapping[str, Any]) -> list[str]:
         return [f"experiment={DEFAULTS}{option}_measured", *more]
     noise = {key: probes.get(key) for key in ("additive", "multiplicative")}
     listed = [probe.get("floor") for probe in probes.get("at") or () if isinstance(probe, Mapping)]
-    stated = noise if any(map(_is_noise, [*noise.values(), *listed])) else {}
+    numbers = [str(value).partition(" ")[0] for value in [*noise.values(), *listed]]  # of texts such as 0.1 um, too
+    stated = noise if any(is_number(number) and float(number) > 0 for number in numbers) else {}
     return [f"experiment={DEFAULTS}{option}", *(f"stated_noise.{key}={value}" for key, value in stated.items())]
-
-
-def _is_noise(value: Any) -> bool:
-    """Tell whether a number, or a text such as ``0.1 um``, is above zero."""
-    number = str(value).partition(" ")[0]
-    return is_number(number) and float(number) > 0
 
 
 def name_choice(config: Config, overrides: Sequence[str], folder: Path | None) -> str:

@@ -143,10 +143,13 @@ def _compose_groups(groups: Sequence[str], stored: Sequence[Any], loader: Any) -
     Values of a command and files of a user are not kept beyond this process, since they may be secret.
     """
     import yaml
+    from hydra import __version__
     from hydra.types import RunMode
     from omegaconf import OmegaConf
 
-    key = _identify_files(groups, stored)
+    # The identity of the chosen groups, and of all that they can be composed of.
+    files = [(str(path), path.read_bytes()) for path in sorted(CONF.rglob("*.yaml")) if path.is_file()]
+    key = hash_parts(repr([__version__, groups, files, stored]))
     if key not in _COMPOSED:
         content = look_up("configurations", key)
         if not content:
@@ -160,14 +163,6 @@ def _compose_groups(groups: Sequence[str], stored: Sequence[Any], loader: Any) -
 
 _COMPOSED: dict[str, DictConfig] = {}
 """What groups of files compose to, in this process, by the identity of both."""
-
-
-def _identify_files(groups: Sequence[str], stored: Sequence[Any]) -> str:
-    """The identity of chosen groups, and of all that they can be composed of."""
-    from hydra import __version__
-
-    files = [(str(path), path.read_bytes()) for path in sorted(CONF.rglob("*.yaml")) if path.is_file()]
-    return hash_parts(repr([__version__, groups, files, stored]))
 
 
 def compose(parsed: Sequence[Override], loader: ConfigLoader) -> dict[str, Any]:

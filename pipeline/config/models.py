@@ -150,7 +150,7 @@ class BearingsModelConfig(_CoefficientModelConfig):
 
     kind: Literal["bearings"]
     count: Annotated[int, Field(ge=4, le=64)]
-    likely: Annotated[tuple[BearingFamily, ...], Field(min_length=1)]
+    likely: Annotated[tuple[Literal["plain", "lobed", "tilting_pad", "rolling", "unknown"], ...], Field(min_length=1)]
 
     of_speed_alone: ClassVar[bool] = True
 
@@ -181,8 +181,6 @@ class BearingsNetworkModelConfig(BearingsModelConfig):
         """The layers."""
         return {"hidden": (self.width,) * self.depth, "activation": self.activation}
 
-
-BearingFamily = Literal["plain", "lobed", "tilting_pad", "rolling", "unknown"]
 
 ModelConfig = Annotated[
     BearingsModelConfig

@@ -85,8 +85,9 @@ def _check_scale(value: Any) -> str:
     return value
 
 
-def _check_name(value: Any, key: str) -> str:
-    """A unit that the ``key`` can take."""
+def _check_name(value: Any, info: ValidationInfo) -> str:
+    """A unit that the key can take."""
+    key = str(info.field_name)
     examples = _EXAMPLES[key]
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d_]+( ?/ ?(s|sec)(2|²|\^2|\*\*2)?)?", value):
         raise ValueError(f"must be a unit (such as {examples}), but got {value!r}")
@@ -99,11 +100,8 @@ def _check_name(value: Any, key: str) -> str:
     raise ValueError(f"must be a unit of {units[key]} (such as {examples}), but got {value!r}{instead}")
 
 
-LengthUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "length"))]
-VelocityUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "velocity"))]
-AccelerationUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "acceleration"))]
-VoltageUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "voltage"))]
-SignalUnit = Annotated[str, BeforeValidator(lambda value: _check_name(value, "signal_unit"))]
+Unit = Annotated[str, BeforeValidator(_check_name)]
+"""Of what its key says: a length, velocity, acceleration or voltage, or any of these (``signal_unit``)."""
 Floor = Annotated[str, BeforeValidator(lambda value: find_floor(value) and value)]
 """Noise that is constant in what a probe measures."""
 Sensitivity = Annotated[str, BeforeValidator(_check_scale)]
@@ -113,10 +111,10 @@ Sensitivity = Annotated[str, BeforeValidator(_check_scale)]
 class MotionConfig(Section):
     """The unit of amplitudes: one of ``length``, ``velocity``, ``acceleration`` and ``voltage``."""
 
-    velocity: VelocityUnit | None = None
-    acceleration: AccelerationUnit | None = None
-    voltage: VoltageUnit | None = None
-    length: LengthUnit | None = Field(default=None, validate_default=True)
+    velocity: Unit | None = None
+    acceleration: Unit | None = None
+    voltage: Unit | None = None
+    length: Unit | None = Field(default=None, validate_default=True)
 
     @property
     def unit(self) -> str:

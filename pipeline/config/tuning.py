@@ -114,10 +114,6 @@ class Preset(_Dimension):
 
 
 Dimension = Annotated[IntegerRange | FloatRange | Choice | Preset, Field(discriminator="kind")]
-DimensionName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
-
-
-Sampler = Literal["tpe", "random", "gp"]
 
 
 class HeldOutLoss(Section):
@@ -135,7 +131,7 @@ class TuningConfig(Section):
     promoted: str = Field(min_length=1)
     storage: str = Field(min_length=1)
     n_trials: PositiveInt
-    sampler: Sampler
+    sampler: Literal["tpe", "random", "gp"]
     sampler_seed: NonNegativeInt
     startup_trials: PositiveInt
     pruner: Literal["median", "none"]
@@ -146,7 +142,7 @@ class TuningConfig(Section):
     changed: Literal["refuse", "restart"]
     timeout_seconds: PositiveFloat
     heartbeat_seconds: PositiveInt
-    space: dict[DimensionName, Dimension]
+    space: dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")], Dimension]
 
     @property
     def silence_seconds(self) -> int:

@@ -27,25 +27,15 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.write_numbers import write_number
 
 
-def write_coefficients(
-    path: Path,
-    table: BearingTable,
-    of: Mapping[int, Sequence[str]] | None = None,
-    deviation: np.ndarray | None = None,
-) -> Path:
-    """Write the coefficients that ``of`` names for each node, or all; the others stay blank. Raises StorageError.
-
-    Standard deviations are those of :func:`tabulate_coefficients`.
-    """
-    return write_table(path, tabulate_coefficients(table, of, deviation))
+def write_coefficients(path: Path, table: BearingTable, of: Mapping[int, Sequence[str]] | None = None) -> Path:
+    """Write the coefficients that ``of`` names for each node, or all; the others stay blank. Raises StorageError."""
+    return write_table(path, tabulate_coefficients(table, of))
 
 
-def tabulate_coefficients(
-    table: BearingTable, named: Mapping[int, Sequence[str]] | None = None, deviation: np.ndarray | None = None
-) -> Columns:
+def tabulate_coefficients(table: BearingTable, named: Mapping[int, Sequence[str]] | None = None) -> Columns:
     """The columns of :func:`write_coefficients`, bearing by bearing.
 
-    With standard deviations (B, S, 8) there are columns ``kxx_std`` and so on, blank where a coefficient was known.
+    Where standard deviations are stated there are columns ``kxx_std`` and so on, blank where a coefficient was known.
     """
     n_bearings, n_speeds = len(table.nodes), len(table.speeds)
     columns = {
@@ -57,8 +47,8 @@ def tabulate_coefficients(
     for name in _list_kinds(named, table.nodes):
         written = np.array([name in named[node] for node in table.nodes])
         columns[name] = np.where(written[:, None], table.coefficient(name), np.nan).ravel()
-    if deviation is not None:
-        columns |= {f"{name}_std": deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
+    if table.deviation is not None:
+        columns |= {f"{name}_std": table.deviation[..., c].ravel() for c, name in enumerate(COEFFICIENTS)}
     return columns
 
 

@@ -33,7 +33,6 @@ EVERYWHERE = np.ones((1, 1), dtype=bool)
 UNSTATED = np.zeros((1, 1, 1))
 """No reading states its own noise."""
 Kind = Literal["unbalance", "force"]
-Whirl = Literal["forward", "backward"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Excitation:
     node: int
     magnitude: float  # kg m for an unbalance, N for a force
     phase: float  # rad
-    whirl: Whirl = "forward"
+    whirl: Literal["forward", "backward"] = "forward"
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,11 +42,6 @@ class NoiseModel:
         """Whether a part of it is constant."""
         return self.additive > 0 or bool(np.any(self.floors))
 
-    @property
-    def largest_floor(self) -> np.ndarray:
-        """(3,) m, m/s and m/s^2, its constant part; of the channel whose floor is largest."""
-        return np.hypot([self.additive, 0.0, 0.0], np.max(self.floors or [NO_FLOOR], axis=0))
-
     def with_floor(self, ratio: float) -> NoiseModel:
         """That whose floors are ``ratio`` times as large."""
         floors = tuple(map(tuple, (ratio * np.array(self.floors)).tolist()))

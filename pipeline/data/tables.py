@@ -307,8 +307,7 @@ def _read_parquet(path: Path, columns: Mapping[str, str], text: CsvConfig) -> _T
     return _Table(stored.column_names, table)
 
 
-_Reader = Callable[[Path, Mapping[str, str], CsvConfig], _Table]
-_READERS: dict[str, tuple[_Reader, str, str]] = {
+_READERS: dict[str, tuple[Callable[[Path, Mapping[str, str], CsvConfig], _Table], str, str]] = {
     ".parquet": (_read_parquet, "complete Parquet file", "make it again with stage=generate"),
     ".xlsx": (_read_excel, "complete Excel file (.xlsx)", "copy it again"),
     ".xlsm": (_read_excel, "complete Excel file (.xlsx)", "copy it again"),

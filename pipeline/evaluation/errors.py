@@ -64,10 +64,10 @@ def measure_coverage(errors: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 
 
 def list_coverage(
-    identified: BearingTable, modelled: BearingTable, deviation: np.ndarray, names: Sequence[Sequence[str]]
+    identified: BearingTable, modelled: BearingTable, names: Sequence[Sequence[str]]
 ) -> dict[str, dict[str, float]]:
     """By node and coefficient, percent of the speeds at which the modelled one lies in the nominal 95 % interval."""
-    inside = measure_coverage((identified.values - modelled.values).swapaxes(1, 2), deviation.swapaxes(1, 2))
+    inside = measure_coverage((identified.values - modelled.values).swapaxes(1, 2), identified.spread.swapaxes(1, 2))
     return {
         str(node): {name: float(inside[b, COEFFICIENTS.index(name)]) for name in names[b]}
         for b, node in enumerate(identified.nodes)

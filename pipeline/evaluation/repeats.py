@@ -124,10 +124,7 @@ def refit(
     sensors = fit_output_error(measurement, setup)
     fitted, unknowns = conclude(sensors), measurement.unknowns
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
-    deviation = answer.deviation_at(truth)
-    assert deviation is not None
-
-    tables = (truth.values, np.nan_to_num(deviation), answer.table.values)
+    tables = (truth.values, np.nan_to_num(answer.state(truth).spread), answer.table.values)
     real, spread, answered = (unknowns.to_active(unknowns.leading(values)) for values in tables)
     error = answered - real
     keep = sensors.start.keep

@@ -18,7 +18,7 @@ from pipeline.coefficients import COEFFICIENTS, is_stiffness
 from pipeline.data.coefficient_files import tabulate_coefficients
 from pipeline.data.operating import list_columns, name_state
 from pipeline.data.vibration_files import to_rpm
-from pipeline.problem.determination import Deviations
+from pipeline.problem.determination import judge_determined
 from pipeline.rotor.bearing_table import BearingTable
 
 Units = Literal["si", "us"]
@@ -47,8 +47,7 @@ class Exported:
     """The answer of an experiment, at one state of its operating conditions."""
 
     name: str
-    table: BearingTable  # SI
-    deviation: np.ndarray | None  # (B, S, 8) SI; NaN for coefficients that were known; None where the fit states none
+    table: BearingTable  # SI, with deviations where the fit states some
     identified: np.ndarray  # (B, 8) bool
     units: Units
     operating: Mapping[str, float] = field(default_factory=dict)  # SI; empty where the data have no conditions
@@ -81,7 +80,7 @@ class Exported:
     @property
     def tables(self) -> dict[str, np.ndarray]:
         """Each (B, S, 8) in the units of the reader: the values under no name, and deviations (if any) as ``std``."""
-        tables = {"": self.table.values, "std": self.deviation}
+        tables = {"": self.table.values, "std": self.table.deviation}
         return {name: table / SCALE[self.units] for name, table in tables.items() if table is not None}
 
     def unit(self, name: str) -> str:
@@ -91,9 +90,7 @@ class Exported:
     @property
     def undetermined(self) -> list[str]:
         """A line on what these data do not determine, such as ``kxx at node 1 below 775 rpm``; none where all is."""
-        if self.deviation is None:
-            return []
-        judged = Deviations(self.table, self.deviation, self.name).judge()
+        judged = judge_determined(self.table)
         lost = ", ".join(f"{each.name} at node {each.node} {each.where}" for each in judged if each.lost)
         beside = f" ({self.state})" if self.operating else ""
         return [f"Not determined by these data, stated for completeness{beside}: {lost}."] if lost else []
@@ -118,7 +115,7 @@ def tabulate(*states: Exported) -> dict[str, Any]:
     takes for SI. Conditions have columns of their own, such as ``oil_temperature_degC``.
     """
     parts = [
-        tabulate_coefficients(replace(state.table, values=state.values), deviation=state.tables.get("std"))
+        tabulate_coefficients(replace(state.table, values=state.values, deviation=state.tables.get("std")))
         for state in states
     ]
     columns = {name: np.concatenate([piece[name] for piece in parts]) for name in parts[0]}

@@ -107,7 +107,7 @@ def export_at(config: Config, answer: Answer, operating: Mapping[str, float]) ->
     """The answer at one state, at each speed of the data."""
     table = evaluate_at(answer.model, answer.measurement, operating, _KEY)[1]
     identified = answer.model.unknowns.identified
-    return Exported(config.name, table, answer.deviation_at(table), identified, config.export.units, operating)
+    return Exported(config.name, answer.state(table), identified, config.export.units, operating)
 
 
 def write_exports(
@@ -162,7 +162,7 @@ def _write_ross(folder: Path, config: Config, updated: Measurement, states: Sequ
         smoothed = read_table(elements, exported.table.speeds)
         ours, theirs = (predict(updated.updated_rotor, table, *asked) for table in (exported.table, smoothed))
         off.append(float(np.max(theirs.error_percent(ours))))
-    if states[0].deviation is not None:
+    if states[0].table.deviation is not None:
         columns = tabulate(*(replace(state, units="si") for state in states))
         write_table(folder / "deviations.csv", {k: v for k, v in columns.items() if k not in COEFFICIENTS})
     every = zip(updated.rotor.bearing_nodes, updated.updated_rotor.bearing_shifts, strict=False)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.identification.blocks import Basis, Prior
-from pipeline.identification.identified import Fit, FittedParameter, PhysicalNumber
+from pipeline.identification.identified import Fit, PhysicalNumber
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
+from pipeline.parameters.kind import ModelParameter
 from pipeline.parameters.model import set_values
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import deviate
@@ -42,13 +43,13 @@ def conclude(fit: OutputErrorFit) -> Fit:
         summary |= _describe_laws(fit, numbers)
     if parameters:
         summary["model_parameters"] = {
-            number.parameter.name: {
-                "prior_deviation": number.parameter.deviation,
-                "value": number.parameter.shift,
-                "deviation": number.deviation * number.parameter.deviation,
-                **number.number,
+            parameter.name: {
+                "prior_deviation": parameter.deviation,
+                "value": parameter.shift,
+                "deviation": parameter.left * parameter.deviation,
+                **parameter.number,
             }
-            for number in parameters
+            for parameter in parameters
         }
     return Fit(
         model=fit.identified,
@@ -104,11 +105,11 @@ def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Physic
     )
 
 
-def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[FittedParameter, ...]:
+def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[ModelParameter, ...]:
     """T, each with its posterior."""
     spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.parameters])
     fitted = set_values(fit.problem.measurement.parameters, uncertainty.parameters)
-    return tuple(FittedParameter(parameter, float(after)) for parameter, after in zip(fitted, spread, strict=True))
+    return tuple(replace(parameter, left=float(after)) for parameter, after in zip(fitted, spread, strict=True))
 
 
 def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:

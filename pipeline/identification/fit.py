@@ -7,6 +7,8 @@ Nothing else asks which loss a configuration names. ``residual``: the residual o
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pipeline.config.identification import (
@@ -20,7 +22,6 @@ from pipeline.config.identification import (
 from pipeline.config.models import ConstantModelConfig, ModelConfig, NetworkModelConfig
 from pipeline.identification.identified import Fit
 from pipeline.identification.training import FitSetup, Progress, minimise
-from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis, diagnose_residual, diagnose_response
 from pipeline.problem.identifiability import require_identifiable
 from pipeline.problem.law_information import require_temperatures
@@ -104,16 +105,17 @@ class ResidualLoss:
         """
         return diagnose_residual(measurement, setup.constant)
 
-    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> BearingTable:
         """The coefficients before the fit, with the deviations of least squares at each speed by itself: the residual
         weighs no noise, so it promises no more. A constant takes the weighted mean of its speeds.
         """
+        expected = diagnosis.expected
         if not setup.constant:
-            return diagnosis.deviations
-        each = diagnosis.deviations.values
+            return expected
+        each = expected.spread
         with np.errstate(divide="ignore"):
             pooled = 1 / np.sqrt((each**-2.0).sum(axis=1, keepdims=True))
-        return Deviations(diagnosis.deviations.table, np.broadcast_to(pooled, each.shape), "constants over all speeds")
+        return replace(expected, deviation=np.broadcast_to(pooled, each.shape), by="constants over all speeds")
 
     def fit(
         self,
@@ -163,7 +165,7 @@ class OutputErrorLoss:
 
         return diagnose_response(measurement, setup.constant, suppose)
 
-    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> Deviations:
+    def expect(self, measurement: Measurement, setup: FitSetup, diagnosis: Diagnosis) -> BearingTable:
         """The deviations of the fit that will be made, at its likely start, for all functions of the model
         (:func:`pipeline.identification.uncertainty.expect_uncertainty`).
         """
@@ -171,7 +173,7 @@ class OutputErrorLoss:
         from pipeline.identification.uncertainty import expect_uncertainty
 
         if not setup.model.has_laws and not diagnosis.solved:
-            return diagnosis.deviations
+            return diagnosis.expected
         start = find_likely(measurement, setup)
         kind = "constants over all speeds" if setup.constant else "smooth functions over all speeds"
         kind, precision = "bearing laws of few numbers" if setup.model.has_laws else kind, 1.0
@@ -179,8 +181,7 @@ class OutputErrorLoss:
             precision = start.searched.precision
             kind += f", whose readings show {write_rough(1 / precision)} times that noise"
         expected = expect_uncertainty(start, precision)
-        table = expected.identified.table(measurement.known)
-        return Deviations(table, expected.deviation(table.speeds, table.operating), kind)
+        return replace(expected.state(expected.identified.table(measurement.known)), by=kind)
 
     def fit(
         self,

@@ -19,7 +19,7 @@ from pipeline.identification.inputs import points_of
 from pipeline.identification.model import CoefficientModel
 from pipeline.identification.training import Outcome
 from pipeline.laws.law_set import NO_LAWS, LawSet
-from pipeline.parameters.model import ModelParameter
+from pipeline.parameters.kind import ModelParameter
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.unknowns import UnknownSet
 
@@ -92,22 +92,6 @@ class PhysicalNumber:
         return self.share < 0.5 * float(np.log(self.within))
 
 
-@dataclass(frozen=True)
-class FittedParameter:
-    """An uncertain number of the model after the fit, in prior standard deviations."""
-
-    parameter: ModelParameter  # at its fitted value; 0 is what was stated
-    deviation: float  # posterior; 1 where the data tell nothing of it
-
-    @property
-    def number(self) -> dict[str, float]:
-        """A support's own number and its deviation, SI; empty for what is a change of something stated."""
-        if not self.parameter.stated or not self.parameter.growth:
-            return {}
-        number = self.parameter.stated * self.parameter.slope
-        return {"number": number, "number_deviation": number * self.parameter.deviation * self.deviation}
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """The answer of a fit, of whatever loss."""
@@ -122,7 +106,7 @@ class Fit:
     uncertainty: Uncertainty | None  # None for a loss that states no deviations
     quality: Quality
     numbers: tuple[PhysicalNumber, ...] = ()  # of the bearing laws
-    parameters: tuple[FittedParameter, ...] = ()  # uncertain ones of the model
+    parameters: tuple[ModelParameter, ...] = ()  # uncertain ones of the model, at their fitted values
 
     def table(self, known: BearingTable) -> BearingTable:
         """All eight coefficients at the speeds of ``known``, N/m and N s/m."""
@@ -147,14 +131,13 @@ class Answer:
         return self.model.table(self.measurement.updated_known)
 
     @cached_property
-    def deviation(self) -> np.ndarray | None:
-        """(B, S, 8) standard deviations at the points of the data."""
-        return self.deviation_at(self.table)
+    def stated(self) -> BearingTable:
+        """The same with their standard deviations."""
+        return self.state(self.table)
 
-    def deviation_at(self, table: BearingTable) -> np.ndarray | None:
-        """(B, S, 8) standard deviations at the points of ``table``, see :meth:`Uncertainty.deviation`."""
-        stated = self.uncertainty
-        return None if stated is None else stated.deviation(table.speeds, table.operating)
+    def state(self, table: BearingTable) -> BearingTable:
+        """The ``table`` with the standard deviations at its points, where the fit states some."""
+        return self.uncertainty.state(table) if self.uncertainty else table
 
     @property
     def tags(self) -> dict[str, str]:

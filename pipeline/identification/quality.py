@@ -8,14 +8,14 @@ Legend: S speeds, P channels, R runs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.data.dataset import name_direction
-from pipeline.data.sensors import FLOORS
+from pipeline.data.sensors import FLOORS, NO_FLOOR
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.noise_estimate import autocorrelation, measure_whiteness
 from pipeline.identification.output_error_fit import OutputErrorFit
@@ -31,23 +31,11 @@ FAR_FROM_EXPECTED = 3.0
 
 
 @dataclass(frozen=True)
-class BadPoint:
-    """A reading far off."""
-
-    run: str
-    speed: float  # rad/s
-    node: int
-    direction: str
-    deviations: float  # how many standard deviations it lies from the fit
-    operating: Mapping[str, float] = field(default_factory=dict)  # conditions, SI
-
-
-@dataclass(frozen=True)
 class Quality:
     """What a fit leaves over, by its own loss."""
 
     summary: Mapping[str, Any]  # part of metrics.json
-    bad_points: tuple[BadPoint, ...] = field(default=())
+    bad_points: tuple[Mapping[str, Any], ...] = ()  # readings far off, see list_bad_points
     inflation: float = 1.0  # of the variances, by the deviations' size and their correlation over the speed
 
     @property
@@ -93,7 +81,7 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
     by_prior = np.einsum("zy,yz->z", fit.covariance(), fit.problem.prior.information.numpy())
     used = fit.problem.n_fitted - float(by_prior.sum())
     correlation, significance = autocorrelation(plain)
-    bad = () if drift else _bad_points(fit, plain)
+    bad = () if drift else list_bad_points(fit, plain)
     summary: dict[str, object] = {
         "chi_square": {"value": value, "expected": readings - used / 2, "readings": readings, "numbers": used},
         "whiteness": {
@@ -109,7 +97,10 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         runs = zip(fit.problem.measurement.dataset.runs, drift.weights, strict=True)
         summary["inconsistent_runs"] = [run for run, weight in runs if weight < NAMED]
     estimated = not np.allclose(fit.factor, 1.0)
-    repeated = _count_repeated(fit) if estimated else 0
+    data = fit.problem.measurement.dataset
+    # Complex readings of runs that repeat an earlier run of the same fit: at the same frequencies, as a block has.
+    again = [runs[i] for runs in fit.problem.readings.runs for i, _ in data.find_repeats(runs)] if estimated else []
+    repeated = int(data.present[:, again].sum()) * len(data.channels)
     # A guess of a law's number is no reading: that it was off speaks against nothing.
     told_before = by_prior[: fit.problem.places.numbers.stop].sum()
     # What repeats differ by is the noise itself: the rest is what the model leaves over.
@@ -126,17 +117,12 @@ def output_error_quality(fit: OutputErrorFit) -> Quality:
         summary["noise_factor"] = dict(zip(names, fit.factor.tolist(), strict=True))
         noise, size = fit.problem.measurement.noise, float(np.median(fit.factor))
         if not fit.problem.measurement.dataset.noise.any():
-            floors = zip(FLOORS, (size * noise.largest_floor).tolist(), strict=True)
+            # The constant part, of the channel whose floor is largest.
+            largest = np.hypot([noise.additive, 0.0, 0.0], np.max(noise.floors or [NO_FLOOR], axis=0))
+            floors = zip(FLOORS, (size * largest).tolist(), strict=True)
             parts = {key: scale * floor for (key, _, scale), floor in floors if floor}
             summary["noise"] = parts | {"multiplicative": size * noise.multiplicative}
     return Quality({"fit": summary}, bad, measure_inflation(summary, estimated and not repeated))
-
-
-def _count_repeated(fit: OutputErrorFit) -> int:
-    """Complex readings of runs that repeat an earlier run of the same fit: at the same frequencies, as a block has."""
-    data, blocks = fit.problem.measurement.dataset, fit.problem.readings.runs
-    again = [runs[i] for runs in blocks for i, _ in data.find_repeats(runs)]
-    return int(data.present[:, again].sum()) * len(data.channels)
 
 
 def measure_inflation(
@@ -235,13 +221,24 @@ def _held_out(fit: OutputErrorFit, other: OutputError) -> dict[str, float | None
     return {"mean_square_over_noise": finite(square), "error_percent": finite(100.0 * np.sqrt(error))}
 
 
-def _bad_points(fit: OutputErrorFit, plain: list[np.ndarray], beyond: float = 4.0) -> tuple[BadPoint, ...]:
-    """Readings ``beyond`` so many deviations: of good ones, one in ten million."""
-    dataset, points = fit.problem.measurement.dataset, []
-    for runs, off in zip(fit.problem.readings.runs, plain, strict=True):
-        for s, p, r in np.argwhere(np.abs(off) > beyond):
-            node, angle = dataset.channels[p]
-            run, size = dataset.runs[runs[r]], float(np.abs(off[s, p, r]))
-            beside = {name: float(values[s]) for name, values in dataset.operating.items()}
-            points.append(BadPoint(run, float(dataset.speeds[s]), node, name_direction(angle), size, beside))
-    return tuple(points)
+def list_bad_points(
+    fit: OutputErrorFit, plain: Sequence[np.ndarray], beyond: float = 4.0
+) -> tuple[Mapping[str, Any], ...]:
+    """Readings ``beyond`` so many deviations: of good ones, one in ten million.
+
+    Each has its ``run``, ``speed`` (rad/s), ``node``, ``direction``, the ``deviations`` that it lies from the fit, and
+    its ``operating`` conditions (SI) by name.
+    """
+    data = fit.problem.measurement.dataset
+    return tuple(
+        {
+            "run": data.runs[runs[r]],
+            "speed": float(data.speeds[s]),
+            "node": data.channels[p][0],
+            "direction": name_direction(data.channels[p][1]),
+            "deviations": float(np.abs(off[s, p, r])),
+            "operating": {name: float(values[s]) for name, values in data.operating.items()},
+        }
+        for runs, off in zip(fit.problem.readings.runs, plain, strict=True)
+        for s, p, r in np.argwhere(np.abs(off) > beyond)
+    )

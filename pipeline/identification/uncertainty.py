@@ -10,7 +10,7 @@ basis, L local functions, A active unknowns, Th numbers of bearing laws, N balan
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,7 @@ from pipeline.identification.model_error import (
 )
 from pipeline.identification.quality import Quality
 from pipeline.problem.slopes import deviate
+from pipeline.rotor.bearing_table import BearingTable
 
 if TYPE_CHECKING:
     import torch
@@ -108,6 +109,10 @@ class Uncertainty:
             positive = np.abs(unknowns.expansion[..., list(identified.model.positive)]).sum(axis=-1)  # (B, 8)
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
+
+    def state(self, table: BearingTable, covariance: np.ndarray | None = None) -> BearingTable:
+        """The ``table`` with the :meth:`deviation` of each of its coefficients."""
+        return replace(table, deviation=self.deviation(table.speeds, table.operating, covariance))
 
     def _by_draws(self, points: Mapping[str, np.ndarray], covariance: np.ndarray, count: int = 512) -> np.ndarray:
         """(B, S, 8) deviations whose nominal 95 % interval about the answer holds that of drawn coordinates.

@@ -68,7 +68,14 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     Probes at a node that miss each other by more than the share ``contradiction`` of what they measure are named.
     """
     runs = config.read()
-    notes = [note for run in runs for note in run.notes] + _note_zeros(runs)
+    notes = [note for run in runs for note in run.notes]
+    notes += [  # missing values may have been written as zeros
+        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
+        "missing?"
+        for run in runs
+        for probe, track in run.tracks.items()
+        if (count := int((track.vectors == 0).sum()))
+    ]
     for run in runs:
         sizes = {probe: float(np.sqrt((np.abs(track.vectors) ** 2).mean())) for probe, track in run.tracks.items()}
         notes += note_dead(run.name, sizes)
@@ -85,7 +92,13 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     wanted = config.speeds.rad_s() if config.speeds else None
     speeds, vectors, present = to_common_speeds(runs, wanted, config.interpolation)
     channels, displacement, misfits = resolve([*config.probes.values()], vectors)
-    _check_size(displacement, runs)
+    largest = np.abs(displacement).max(axis=(0, 1))
+    if largest.max() > LARGEST:
+        raise DataError(
+            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
+            f"{write_number(largest.max(), digits=3)} m: check the unit (machine.recordings.conventions, or scale "
+            "and signal_unit)"
+        )
     conditions = find_conditions(config, runs, speeds)
     labels = name_recordings(config, conditions)
     acting = [
@@ -207,27 +220,6 @@ def _note_counts(labels: Sequence[str], rows: Sequence[int], counts: Sequence[in
             "take each run at its own speeds"
         )
     return notes
-
-
-def _note_zeros(runs: Sequence[RunTracks]) -> list[str]:
-    """A sentence for every probe whose missing values may have been written as zeros."""
-    return [
-        f"probe '{probe}' of run '{run.name}' is exactly zero at {count} of {len(track.speeds)} speeds: are values "
-        "missing?"
-        for run in runs
-        for probe, track in run.tracks.items()
-        if (count := int((track.vectors == 0).sum()))
-    ]
-
-
-def _check_size(displacement: np.ndarray, runs: Sequence[RunTracks]) -> None:
-    largest = np.abs(displacement).max(axis=(0, 1))
-    if largest.max() > LARGEST:
-        raise DataError(
-            f"displacements must be below {LARGEST:g} m, but run '{runs[int(largest.argmax())].name}' has "
-            f"{write_number(largest.max(), digits=3)} m: check the unit (machine.recordings.conventions, or scale "
-            "and signal_unit)"
-        )
 
 
 def resolve(

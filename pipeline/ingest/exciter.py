@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from pipeline.config.measured import MeasuredConfig, TachoAngleConfig, Text
-from pipeline.config.motion import SignalUnit, to_motion
+from pipeline.config.motion import Unit, to_motion
 from pipeline.config.quantities import Force, ShaftAngle
 from pipeline.config.runs import SpeedsConfig
 from pipeline.config.section import NonNegativeInt, Section, ascending, rule
@@ -81,7 +81,7 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
     """Time signals of probes and of a measured force, at constant speeds or with the rotor at rest (0 rpm)."""
 
     format: Literal["exciter"]
-    signal_unit: SignalUnit
+    signal_unit: Unit
     reference: ReferenceConfig
     averaging: AveragingConfig
     probes: dict[str, WaveformProbeConfig] = Field(min_length=1)

@@ -287,17 +287,19 @@ def _read_wav(path: Path, names: Sequence[str], attribute: str | None) -> tuple[
         return {name: (every[name] - middle) / full for name in names or every}, float(rate)
 
 
-def _list_wav(path: Path) -> Contents:
-    return Contents(dict.fromkeys(_read_wav(path, (), None)[0], ""), rated=True)
-
-
-_Read = Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]]
-_READERS: dict[str, tuple[_Read, str, Callable[[Path], Contents]]] = {
+_READERS: dict[
+    str,
+    tuple[Callable[[Path, Sequence[str], str | None], tuple[Channels, float | None]], str, Callable[[Path], Contents]],
+] = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), (_read_hdf5, "complete HDF5 file", _list_hdf5)),
     ".tdms": (_read_tdms, "complete TDMS file", _list_tdms),
     ".mat": (partial(_read_variables, read_mat), "complete MAT file", _list_mat),
     ".npz": (partial(_read_variables, _load_npz), "complete NumPy file (.npz)", _list_npz),
-    ".wav": (_read_wav, "complete WAV file", _list_wav),
+    ".wav": (
+        _read_wav,
+        "complete WAV file",
+        lambda path: Contents(dict.fromkeys(_read_wav(path, (), None)[0], ""), rated=True),
+    ),
 }
 """By a file's ending: what gives the channels and the sample rate in Hz that the file states, what it reads, and what
 says which channels there are."""

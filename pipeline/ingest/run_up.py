@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from pipeline.config.measured import AmplitudeKind, PhaseSense, SpeedUnit, Text
-from pipeline.config.motion import MotionConfig, Sensitivity, find_volts, to_motion
+from pipeline.config.measured import ConventionsConfig, PhaseSense, Text
+from pipeline.config.motion import Sensitivity, find_volts, to_motion
 from pipeline.config.section import Section, ascending, rule
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError
@@ -29,7 +29,7 @@ class RunUpColumnsConfig(Section):
     phase: Text = "phase"
 
 
-class RunUpConfig(MotionConfig):
+class RunUpConfig(ConventionsConfig):
     """A Bode table of one probe, a row a revolution in the order of time or of speed, and what its numbers mean.
 
     ``from_rpm`` to ``to_rpm`` is the part of it in which the speed changes at one rate. ``phase`` null: both senses are
@@ -41,10 +41,7 @@ class RunUpConfig(MotionConfig):
     probe: Text = "probe"
     columns: RunUpColumnsConfig = RunUpColumnsConfig()
     scale: Sensitivity | None = None
-    amplitude: AmplitudeKind
-    phase: PhaseSense | None = None
-    phase_unit: Literal["deg", "rad"]
-    speed: SpeedUnit
+    phase: PhaseSense | None = None  # type: ignore[assignment]  # of a table it must be known
     from_rpm: PositiveFloat
     to_rpm: PositiveFloat
     rate_rpm_per_s: float | None = None

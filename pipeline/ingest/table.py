@@ -134,19 +134,15 @@ def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) ->
         phases.append(rows[pair.phase])
     notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
     notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
-    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=_average_conditions(config, table))
-
-
-def _average_conditions(config: TableRecordingsConfig, table: Columns) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Name -> speeds (n,) rad/s, ascending, and the condition there, SI: the mean of the rows of a speed."""
-    speeds, at = np.unique(table[config.columns.speed], return_inverse=True)
-    return {
+    speeds, at = np.unique(table[named.speed], return_inverse=True)
+    conditions = {  # the mean of the rows of a speed
         name: (
             speeds * RAD_S[config.conventions.speed],
             np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
         )
-        for name, condition in config.columns.conditions.items()
+        for name, condition in named.conditions.items()
     }
+    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions)
 
 
 def _select_run(config: TableRecordingsConfig, run: TableRunConfig, table: Columns, path: Path) -> Columns:

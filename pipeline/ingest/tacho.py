@@ -78,7 +78,10 @@ def find_pulses(
     pulses = time[before] + share * step
     # An edge that is higher than what the interpolation sees of it lies anywhere between two samples.
     sharp = np.median(over - under) > 0.9 * (high - low)
-    return pulses, _find_locked_error(pulses, float(np.median(step))) if sharp else 0.0
+    # At a whole number of samples a period all of them are off together, by half a step between samples at most.
+    apart = np.diff(pulses) / np.median(step)
+    locked = len(apart) > 1 and np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5
+    return pulses, 0.5 * float(np.median(step)) if sharp and locked else 0.0
 
 
 def _find_ends(state: np.ndarray) -> np.ndarray:
@@ -90,13 +93,6 @@ def _find_last(state: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """The last sample in a ``state`` (n,) before each of the ``samples``, which are not in it; -1 for none."""
     ends = np.append(-1, _find_ends(state))
     return ends[np.searchsorted(ends, samples) - 1]
-
-
-def _find_locked_error(pulses: np.ndarray, step: float) -> float:
-    """Half a ``step`` between samples (s) for sharp edges at a whole number of samples a period, else 0."""
-    apart = np.diff(pulses) / step
-    locked = len(apart) > 1 and np.abs(apart - np.round(apart)).max() < 0.2 and np.ptp(apart) < 0.5
-    return 0.5 * step if locked else 0.0
 
 
 def fit_angle(

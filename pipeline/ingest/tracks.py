@@ -92,17 +92,22 @@ def sort_track(
 
 
 def to_common_speeds(
-    runs: Sequence[RunTracks], stated: np.ndarray | None, kind: str
+    runs: Sequence[RunTracks], stated: np.ndarray | None, kind: str, same: float = 1e-3
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The speeds (S,) rad/s of all runs together, their vectors (S, P, R), and which runs have which speed (S, R).
 
     Each run is interpolated (``kind`` cubic or linear) to those of the ``stated`` speeds (n,) rad/s that all its probes
-    cover; None takes the speeds of the runs as they are. Raises DataError for a run that covers none of them, and for
+    cover; None takes the speeds of the runs as they are, where those that differ by less than the share ``same``, and
+    than half a step of any track, are one, their mean. Raises DataError for a run that covers none of them, and for
     a probe that lacks a speed of its run.
     """
     every = [(run, probe, track) for run in runs for probe, track in run.tracks.items()]
     if stated is None:
-        joined = np.split(_join_speeds(every), np.cumsum([len(track.speeds) for _, _, track in every])[:-1])
+        step = min((np.diff(track.speeds) / track.speeds[1:]).min(initial=2 * same) for _, _, track in every)
+        joined = np.split(
+            join(np.concatenate([track.speeds for _, _, track in every]), 0.0, step / 2),
+            np.cumsum([len(track.speeds) for _, _, track in every])[:-1],
+        )
         speeds = np.unique(np.concatenate(joined))
         placed = [(np.searchsorted(speeds, at), each[2].vectors) for at, each in zip(joined, every, strict=True)]
     else:
@@ -124,13 +129,6 @@ def to_common_speeds(
     return speeds[rows], np.where(present[:, None], vectors, 0.0)[rows], present[rows]
 
 
-def _join_speeds(every: Sequence[tuple[RunTracks, str, Track]], same: float = 1e-3) -> np.ndarray:
-    """The speeds of all tracks, one after the other; those that differ by less than the share ``same``, and than half a
-    step of any track, are one, their mean."""
-    steps = [(np.diff(track.speeds) / track.speeds[1:]).min(initial=2 * same) for _, _, track in every]
-    return join(np.concatenate([track.speeds for _, _, track in every]), 0.0, min(steps) / 2)
-
-
 def _interpolate(
     run: RunTracks, probe: str, track: Track, speeds: np.ndarray, kind: str
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -141,9 +139,9 @@ def _interpolate(
     if not len(at) or (confused and len(at) < len(speeds)):
         raise DataError(
             f"every run must cover some of machine.recordings.speeds ({format_rpm(speeds[0])} to "
-            f"{format_rpm(speeds[-1])} rpm), but the speed range of run '{run.name}' is {_format_range(track)} at "
-            f"probe '{probe}' ({run.source}): {confused}nothing is extrapolated, choose machine.recordings.speeds "
-            "within it"
+            f"{format_rpm(speeds[-1])} rpm), but the speed range of run '{run.name}' is {len(track.speeds)} speeds "
+            f"from {format_rpm(track.speeds[0])} to {format_rpm(track.speeds[-1])} rpm at probe '{probe}' "
+            f"({run.source}): {confused}nothing is extrapolated, choose machine.recordings.speeds within it"
         )
     wanted = speeds[at]
     if len(wanted) == len(track.speeds) and np.allclose(wanted, track.speeds, rtol=1e-9, atol=0):
@@ -177,7 +175,3 @@ def _name_confusion(speeds: np.ndarray, wanted: np.ndarray) -> str:
 def format_rpm(speed: float) -> str:
     """Write a speed in rad/s as rpm."""
     return write_number(speed / RAD_S_PER_RPM, digits=6)
-
-
-def _format_range(track: Track) -> str:
-    return f"{len(track.speeds)} speeds from {format_rpm(track.speeds[0])} to {format_rpm(track.speeds[-1])} rpm"

@@ -19,7 +19,7 @@ from pipeline.config.measured import (
     TachoAngleConfig,
     Text,
 )
-from pipeline.config.motion import SignalUnit, to_motion
+from pipeline.config.motion import Unit, to_motion
 from pipeline.config.quantities import Frequency
 from pipeline.config.section import Section, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
@@ -79,7 +79,7 @@ class TachoSignalConfig(TachoAngleConfig):
 class SignalConfig(MeasuredConfig):
     """Time signals: in one unit, of records at constant speed or of a run-up or run-down."""
 
-    signal_unit: SignalUnit | None = None
+    signal_unit: Unit | None = None
     records: Literal["constant_speed", "run_up"] | None = None
     tracking: OrderTrackingConfig = OrderTrackingConfig()
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from pipeline.config.comparison import FitConfig
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.fit import fit, loss_of
@@ -46,10 +44,9 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
         text = f"{fitted.outcome.label} after {fitted.steps} steps"
         if fitted.uncertainty:
             text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
-        deviation = fitted.deviation(data.dataset.speeds, data.dataset.operating)
         table = fitted.table(data.known)
-        stated = np.full(table.values.shape, np.nan) if deviation is None else deviation
-        return Estimate(table, stated, text, doubt(fitted.quality.misfit))
+        stated = fitted.uncertainty.state(table) if fitted.uncertainty else table
+        return Estimate(stated, text, doubt(fitted.quality.misfit))
 
     return identify
 

@@ -169,7 +169,7 @@ def solve_smoothed(data: Measurement, options: MethodOptions, fewest: int = 4) -
     """
     estimate, unknowns = solve_expanded(data, options), data.unknowns
     values = unknowns.leading(estimate.coefficients.values)
-    spread = unknowns.leading(estimate.deviation)
+    spread = unknowns.leading(estimate.coefficients.spread)
     smooth, deviation = values.copy(), spread.copy()
     for m, u in unknowns.active:
         answer, deviations = values[m, :, u], spread[m, :, u]

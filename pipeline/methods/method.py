@@ -71,8 +71,7 @@ class MethodOptions:
 class Estimate:
     """What a method answers."""
 
-    coefficients: BearingTable
-    deviation: np.ndarray  # (B, S, 8) standard deviations, NaN for known ones, and where none is stated
+    coefficients: BearingTable  # with their deviations, where some are stated
     words: str = ""  # what the answer cost or rests on
     doubt: str = ""  # what speaks against it: it does not explain its readings
     n_speeds: int = 0  # how many speeds were looked at; 0 for all
@@ -122,12 +121,11 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         answers.append((points, solve(replace(state, dataset=replace(state.dataset, operating={}), known=known))))
     deviation = np.full(values.shape, np.nan)
     for points, answer in answers:
-        values[:, points], deviation[:, points] = answer.coefficients.values, answer.deviation
+        values[:, points], deviation[:, points] = answer.coefficients.values, answer.coefficients.spread
     some = any(answer.n_speeds for _, answer in answers)
     return replace(
         answers[0][1],
-        coefficients=replace(measurement.known, values=values),
-        deviation=deviation,
+        coefficients=replace(measurement.known, values=values, deviation=deviation),
         words=f"each of {len(states)} conditions by itself; the first: {answers[0][1].words}",
         doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
         n_speeds=sum(answer.n_speeds or len(points) for points, answer in answers) if some else 0,
@@ -142,7 +140,7 @@ def make_estimate(
 ) -> Estimate:
     """The answer, from unknowns (M, S, U) and their standard deviations (M, S, U)."""
     stated = measurement.unknowns.expand_deviation(np.nan_to_num(deviation))
-    return Estimate(measurement.table(values), stated, words, doubt)
+    return Estimate(replace(measurement.table(values), deviation=stated), words, doubt)
 
 
 def require_bearing_equations(measurement: Measurement) -> BearingEquations:

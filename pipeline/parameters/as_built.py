@@ -20,7 +20,8 @@ from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import Channels, project
 from pipeline.data.simulate import integrate, simulate
 from pipeline.impedance import stand_in_series
-from pipeline.parameters.model import ModelParameter, update_rotor
+from pipeline.parameters.kind import ModelParameter
+from pipeline.parameters.model import update_rotor
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor

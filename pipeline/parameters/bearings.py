@@ -7,19 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.quantities import Mass
-from pipeline.parameters.kind import Kind, Machine, Place, PositiveShare
+from pipeline.parameters.kind import Kind, Machine, ModelParameter, Place, PositiveShare
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
 from pipeline.rotor.model import TRANSLATIONS, RotorModel
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 BASELINE = ""
 """The run of a bearing's drift in the baseline that was taken off the others."""

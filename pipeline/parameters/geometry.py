@@ -11,17 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.quantities import Length
-from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Machine, Place, require_on_shaft
+from pipeline.parameters.kind import PARTS, UNSHOWN, Kind, Machine, ModelParameter, Place, require_on_shaft
 from pipeline.rotor.interpolation import derive_by_bearing, move_bearing
 from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 
 def _find_bows(machine: Machine) -> list[Place]:

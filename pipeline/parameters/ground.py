@@ -6,7 +6,6 @@ Legend: T parameters, S speeds, R runs, B bearings, C casings. SI units and radi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import PositiveFloat
@@ -14,13 +13,10 @@ from pydantic import PositiveFloat
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.quantities import Damping, Stiffness
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset
-from pipeline.parameters.kind import Kind, Machine, Place
+from pipeline.parameters.kind import Kind, Machine, ModelParameter, Place
 from pipeline.parameters.weights import size_excitations
 from pipeline.rotor.interpolation import derive_by_casing, move_casing
 from pipeline.rotor.model import RotorModel, casing_dof, translation_dof
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 
 def _find_supports(machine: Machine, matrix: str) -> list[Place]:

@@ -11,7 +11,7 @@ from pipeline.coefficients import CoefficientName
 from pipeline.config.quantities import Damping, Stiffness, UnbalanceMagnitude
 from pipeline.config.section import NonNegativeInt, Once, Section, rule
 from pipeline.parameters.model import KINDS
-from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
+from pipeline.unknowns import Structure, Tied, UnknownSet, tie, unknown_set
 
 Unknowns = Annotated[tuple[CoefficientName, ...], Once]
 
@@ -87,12 +87,10 @@ class IdentifyConfig(Section):
         for node in self.bearings:
             self.at(node)
 
-    def at(self, node: int) -> BearingUnknowns:
+    def at(self, node: int) -> Tied:
         """Return what is unknown at the bearing of ``node``. Raises ValueError where half of a structure is known."""
         bearing = self.bearings.get(node, OneBearingConfig())
-        return BearingUnknowns(
-            self.unknowns if bearing.unknowns is None else bearing.unknowns, bearing.structure or self.structure
-        )
+        return tie(self.unknowns if bearing.unknowns is None else bearing.unknowns, bearing.structure or self.structure)
 
     def unknowns_of(self, nodes: Sequence[int]) -> UnknownSet:
         """Return what is unknown at the bearings of these nodes."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,9 +20,6 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.unknowns import UnknownSet
 
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
-
 PositiveShare = Annotated[float, Field(gt=0, lt=1)]
 PARTS = {"real": 1.0, "imaginary": 1j}
 """A complex number is two parameters: its parts, and the unit of each."""
@@ -32,7 +29,7 @@ UNSHOWN = "no run that turns with the rotor and that no baseline was subtracted 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a machine has a parameter, as the fields of :class:`pipeline.parameters.model.ModelParameter` say it."""
+    """Where a machine has a parameter, as the fields of :class:`ModelParameter` say it."""
 
     label: str = ""
     place: int = 0
@@ -76,6 +73,72 @@ class Machine:
     def shows_bow(self) -> bool:
         """Whether a run shows what turns with the rotor at all speeds alike: none whose baseline was subtracted."""
         return self.dataset.subtracted is None and bool(turns_with_rotor(self.dataset).any())
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One uncertain number.
+
+    ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
+    ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
+    ``bearing_position`` moves a bearing along the shaft, and ``base_participation`` a casing in a mode; their matrices
+    stay, and the bearing's places on them change. By ``base_softening`` the logarithm of a mode's stiffness falls with
+    the root of the force that excites a run.
+    """
+
+    kind: str
+    deviation: float  # prior standard deviation in the unit of the kind
+    label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
+    place: int = 0  # node, position among the run's excitations, channel, bearing, or participation of a base
+    detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
+    stated: float = 0.0  # SI, of a support, or of what softens
+    value: float = 0.0  # theta, where rotor, weights and probes are made
+    left: float = 1.0  # of its prior deviation after a fit; 1 where the data tell nothing of it
+
+    @property
+    def row(self) -> Kind:
+        """Its kind."""
+        from pipeline.parameters.model import KINDS
+
+        return KINDS[self.kind]
+
+    @property
+    def name(self) -> str:
+        """Kind and place, as tables show them."""
+        return f"{self.kind} {self.label}".strip()
+
+    @property
+    def growth(self) -> float:
+        """Its deviation where theta is a logarithm; zero where the number is in proportion to theta."""
+        return self.deviation if self.row.logarithmic else 0.0
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether its sign is the other one in the mirrored machine."""
+        return self.row.mirrored or self.detail == "imaginary"
+
+    @property
+    def shift(self) -> float:
+        """By how much it is off at its :attr:`value`, in the unit of the kind."""
+        return self.value * self.deviation
+
+    @property
+    def step(self) -> float:
+        """By how many deviations the number is off there."""
+        return float(np.expm1(self.value * self.growth)) / self.growth if self.growth else self.value
+
+    @property
+    def slope(self) -> float:
+        """The derivative of :attr:`step` by the value."""
+        return float(np.exp(self.value * self.growth))
+
+    @property
+    def number(self) -> dict[str, float]:
+        """A support's own number and its deviation, SI; empty for what is a change of something stated."""
+        if not self.stated or not self.growth:
+            return {}
+        number = self.stated * self.slope
+        return {"number": number, "number_deviation": number * self.deviation * self.left}
 
 
 @dataclass(frozen=True, kw_only=True)

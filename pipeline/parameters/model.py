@@ -15,7 +15,7 @@ Legend: T parameters. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from pipeline.data.dataset import VibrationDataset
 from pipeline.errors import ConfigError
 from pipeline.parameters import bearings, geometry, ground, probes, shaft, weights
-from pipeline.parameters.kind import Kind, Machine
+from pipeline.parameters.kind import Kind, Machine, ModelParameter
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import NO_SEALS, RotorModel
 from pipeline.unknowns import UnknownSet
@@ -41,61 +41,6 @@ ALWAYS_FITTED = USUAL | {name: kind.usual for name, kind in KINDS.items() if kin
 is in each run as it is on average to 2 % (oil temperature, alignment, amplitude); so it is in the baseline. A free end
 of the shaft may have a coupling that nobody stated. Probes are 3 mm off. Where no baseline is subtracted, 1 um of
 runout is left over."""
-
-
-@dataclass(frozen=True)
-class ModelParameter:
-    """One uncertain number.
-
-    ``youngs_modulus`` scales the shaft's whole stiffness (a shear modulus of constant Poisson's ratio with it),
-    ``density`` its mass, ``disc_inertia`` both inertias of a disc. A coupling acts at a node in x and y alike.
-    ``bearing_position`` moves a bearing along the shaft, and ``base_participation`` a casing in a mode; their matrices
-    stay, and the bearing's places on them change. By ``base_softening`` the logarithm of a mode's stiffness falls with
-    the root of the force that excites a run.
-    """
-
-    kind: str
-    deviation: float  # prior standard deviation in the unit of the kind
-    label: str  # what it belongs to, such as "node 3"; empty for the whole shaft
-    place: int = 0  # node, position among the run's excitations, channel, bearing, or participation of a base
-    detail: str = ""  # run of an excitation, name of a coefficient, part of a complex number, or direction
-    stated: float = 0.0  # SI, of a support, or of what softens
-    value: float = 0.0  # theta, where rotor, weights and probes are made
-
-    @property
-    def row(self) -> Kind:
-        """Its kind."""
-        return KINDS[self.kind]
-
-    @property
-    def name(self) -> str:
-        """Kind and place, as tables show them."""
-        return f"{self.kind} {self.label}".strip()
-
-    @property
-    def growth(self) -> float:
-        """Its deviation where theta is a logarithm; zero where the number is in proportion to theta."""
-        return self.deviation if self.row.logarithmic else 0.0
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether its sign is the other one in the mirrored machine."""
-        return self.row.mirrored or self.detail == "imaginary"
-
-    @property
-    def shift(self) -> float:
-        """By how much it is off at its :attr:`value`, in the unit of the kind."""
-        return self.value * self.deviation
-
-    @property
-    def step(self) -> float:
-        """By how many deviations the number is off there."""
-        return float(np.expm1(self.value * self.growth)) / self.growth if self.growth else self.value
-
-    @property
-    def slope(self) -> float:
-        """The derivative of :attr:`step` by the value."""
-        return float(np.exp(self.value * self.growth))
 
 
 def set_values(

@@ -6,7 +6,6 @@ Legend: T parameters, P channels, n lateral DOF. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from pipeline.parameters.kind import (
     UNSHOWN,
     Kind,
     Machine,
+    ModelParameter,
     Place,
     PositiveShare,
     require_on_shaft,
@@ -24,9 +24,6 @@ from pipeline.parameters.kind import (
 )
 from pipeline.rotor.interpolation import shaft_rows
 from pipeline.rotor.model import RotorModel
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 
 def sensor_matrix(dataset: VibrationDataset, rotor: RotorModel, parameters: Sequence[ModelParameter]) -> np.ndarray:

@@ -6,17 +6,13 @@ SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.config.quantities import Mass, Stiffness
 from pipeline.errors import ConfigError
-from pipeline.parameters.kind import Kind, Machine, Place, PositiveShare, everywhere
+from pipeline.parameters.kind import Kind, Machine, ModelParameter, Place, PositiveShare, everywhere
 from pipeline.rotor.model import DOF_PER_NODE, TRANSLATIONS, RotorModel, translation_dof
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 
 def _change_disc(parameter: ModelParameter, rotor: RotorModel, first: int, last: int) -> Mapping[str, np.ndarray]:

@@ -9,18 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import PositiveFloat
 
 from pipeline.config.quantities import PositiveAngle, WeightLaw
 from pipeline.data.dataset import Excitation, VibrationDataset, assemble_forces
-from pipeline.parameters.kind import PARTS, Kind, Machine, Place, PositiveShare, everywhere, number_excitations
+from pipeline.parameters.kind import (
+    PARTS,
+    Kind,
+    Machine,
+    ModelParameter,
+    Place,
+    PositiveShare,
+    everywhere,
+    number_excitations,
+)
 from pipeline.rotor.model import RotorModel
-
-if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
 
 
 def write_label(excitation: Excitation) -> str:

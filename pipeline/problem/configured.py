@@ -101,7 +101,7 @@ def list_known(config: Config, nodes: Sequence[int]) -> dict[int, tuple[str, ...
             raise ConfigError(
                 f"identify.bearings must name bearing nodes of the rotor ({', '.join(map(str, nodes))}), but got {node}"
             )
-    unknown = {node: config.identify.at(node).coefficients for node in nodes}
+    unknown = {node: config.identify.at(node) for node in nodes}
     return {node: tuple(name for name in COEFFICIENTS if name not in unknown[node]) for node in nodes}
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -28,12 +28,17 @@ WEAKLY_BELOW = 0.30
 """Zero is then more than three standard deviations away: sign and order of magnitude are certain, no more."""
 
 
-class Determination(Enum):
-    """The verdict on one coefficient."""
+class Verdict(StrEnum):
+    """Can it be used? From the most to the least favourable."""
 
-    WELL = "well determined"
-    WEAKLY = "weakly determined"
-    NOT = "not determined"
+    GOOD = "good"
+    WITH_CARE = "with care"
+    NO = "no"
+
+    @property
+    def determined(self) -> str:
+        """What a deviation that allows it says of a coefficient."""
+        return {"good": "well determined", "with care": "weakly determined", "no": "not determined"}[self]
 
 
 @dataclass(frozen=True)
@@ -47,11 +52,11 @@ class Determined:
     where: str = ""  # these speeds, in words
 
     @property
-    def verdict(self) -> Determination:
+    def verdict(self) -> Verdict:
         """By the limits above; a deviation that is not a number determines nothing."""
         if self.deviation < WELL_BELOW:
-            return Determination.WELL
-        return Determination.WEAKLY if self.deviation < WEAKLY_BELOW else Determination.NOT
+            return Verdict.GOOD
+        return Verdict.WITH_CARE if self.deviation < WEAKLY_BELOW else Verdict.NO
 
 
 def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
@@ -70,35 +75,27 @@ def measure_sizes(values: np.ndarray, cross_share: float = 0.1) -> np.ndarray:
     return sizes
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
-    """Coefficients with their standard deviations, and of which answer these are."""
+def relative_deviation(table: BearingTable) -> np.ndarray:
+    """(B, S, 8) standard deviations of the coefficients over their sizes; infinite where that is zero."""
+    sizes = measure_sizes(table.values)
+    return np.asarray(np.divide(table.spread, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0))
 
-    table: BearingTable
-    values: np.ndarray  # (B, S, 8) N/m and N s/m; NaN where nothing is identified
-    of: str  # in words: whose deviations
 
-    @property
-    def relative(self) -> np.ndarray:
-        """(B, S, 8) over their sizes; infinite where that is zero."""
-        sizes = measure_sizes(self.table.values)
-        return np.asarray(np.divide(self.values, sizes, out=np.full(sizes.shape, np.inf), where=sizes > 0))
+def find_lost(table: BearingTable) -> np.ndarray:
+    """(B, S, 8) bool: where a coefficient is not determined; nowhere of what has no deviation."""
+    return np.asarray(np.isfinite(table.spread) & ~(relative_deviation(table) < WEAKLY_BELOW))
 
-    @property
-    def lost(self) -> np.ndarray:
-        """(B, S, 8) bool: where it is not determined; nowhere of what has no deviation."""
-        return np.asarray(np.isfinite(self.values) & ~(self.relative < WEAKLY_BELOW))
 
-    def judge(self) -> tuple[Determined, ...]:
-        """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
-        relative, judged = self.relative[:, self.table.bounded], []
-        for b, c in np.argwhere(~np.isnan(self.values).all(axis=1)):
-            share = relative[b, :, c]
-            lost = ~(share < WEAKLY_BELOW)
-            where = write_where(self.table.speeds[self.table.bounded], lost)
-            size, part = float(np.median(share)), float(np.mean(lost))
-            judged.append(Determined(self.table.nodes[b], COEFFICIENTS[c], size, part, where))
-        return tuple(judged)
+def judge_determined(table: BearingTable) -> tuple[Determined, ...]:
+    """A verdict on each coefficient that is identified, bearing by bearing, at the speeds where it is a number."""
+    relative, judged = relative_deviation(table)[:, table.bounded], []
+    for b, c in np.argwhere(~np.isnan(table.spread).all(axis=1)):
+        share = relative[b, :, c]
+        lost = ~(share < WEAKLY_BELOW)
+        where = write_where(table.speeds[table.bounded], lost)
+        size, part = float(np.median(share)), float(np.mean(lost))
+        judged.append(Determined(table.nodes[b], COEFFICIENTS[c], size, part, where))
+    return tuple(judged)
 
 
 def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> str:
@@ -107,7 +104,7 @@ def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> st
     More than ``most_named``, as many as a bearing has, are counted.
     """
     several, parts = len({judgement.node for judgement in judged}) > 1, []
-    for verdict in Determination:
+    for verdict in Verdict:
         alike = [judgement for judgement in judged if judgement.verdict is verdict]
         if not alike:
             continue
@@ -116,8 +113,8 @@ def describe_determined(judged: Sequence[Determined], most_named: int = 8) -> st
         size = write_percent(alike[worst].deviation, "+- ")
         which = f"{len(alike)} of {len(judged)}" if len(alike) > most_named else ", ".join(names)
         which = "all" if len(alike) == len(judged) > 1 else which
-        parts.append(f"{which} {verdict.value} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
-    partly = [judgement for judgement in judged if judgement.lost and judgement.verdict is not Determination.NOT]
+        parts.append(f"{which} {verdict.determined} ({f'{names[worst]} ' if len(alike) > 1 else ''}{size})")
+    partly = [judgement for judgement in judged if judgement.lost and judgement.verdict is not Verdict.NO]
     if partly:
         coefficient = partly[rank_indices(judgement.lost for judgement in partly)[0]]
         where = f" at node {coefficient.node}" if several else ""
@@ -131,7 +128,7 @@ def summarize_determined(judged: Sequence[Determined]) -> dict[str, dict[str, di
     for coefficient in judged:
         percent = float(100 * coefficient.deviation) if np.isfinite(coefficient.deviation) else None
         result.setdefault(str(coefficient.node), {})[coefficient.name] = {
-            "verdict": coefficient.verdict.value,
+            "verdict": coefficient.verdict.determined,
             "deviation_percent": percent,
             "not_determined_at_percent_of_speeds": 100 * coefficient.lost,
             "not_determined": coefficient.where,

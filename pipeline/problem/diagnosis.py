@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.problem.determination import Deviations, measure_sizes
+from pipeline.problem.determination import measure_sizes
 from pipeline.problem.expansion import expand
 from pipeline.problem.identifiability import (
     Identifiability,
@@ -36,7 +36,6 @@ from pipeline.problem.residual import BearingEquations, LinearResidual, linear_r
 from pipeline.problem.slopes import ReadingSlopes, stack_rows
 from pipeline.rotor.bearing_table import BearingTable
 
-BY_ITSELF = "each speed by itself"
 UNEQUAL = np.array([1.0, 0.2, -0.3, 0.7])
 """xx, xy, yx, yy over the guess, of the bearing that few sensors are judged by: one that is the same in all directions
 would show circular orbits, from which less follows than from those of real bearings."""
@@ -47,7 +46,7 @@ class Diagnosis:
     """Everything that is known of a fit before it is done."""
 
     reports: tuple[Identifiability, ...]
-    deviations: Deviations  # of least squares of each speed by itself, or of a guess by smooth functions
+    expected: BearingTable  # with the deviations of least squares of each speed by itself, or of smooth functions
     by_least_squares: bool = True  # which of the two
 
     @property
@@ -57,8 +56,8 @@ class Diagnosis:
 
     def relative(self, node: int) -> dict[str, np.ndarray]:
         """Coefficient -> (S,) standard deviation over size."""
-        b = self.deviations.table.nodes.index(node)
-        size, deviation = np.abs(self.deviations.table.values[b]), self.deviations.values[b]
+        b = self.expected.nodes.index(node)
+        size, deviation = np.abs(self.expected.values[b]), self.expected.spread[b]
         return {
             name: np.divide(deviation[:, c], size[:, c], out=np.full(len(size), np.inf), where=size[:, c] > 0)
             for c, name in enumerate(COEFFICIENTS)
@@ -83,8 +82,8 @@ def _diagnose_least_squares(
     """By the ``residual`` of the equations, with the root of its covariance near the bearings that solve it."""
     reports = judge_identifiability(equations, residual, constant)
     answer = measurement.table(per_speed_least_squares(residual))
-    spread = least_squares_deviation(whiten(residual, find_root(answer)))
-    return Diagnosis(reports, Deviations(answer, measurement.unknowns.expand_deviation(spread), BY_ITSELF))
+    spread = measurement.unknowns.expand_deviation(least_squares_deviation(whiten(residual, find_root(answer))))
+    return Diagnosis(reports, replace(answer, deviation=spread, by="each speed by itself"))
 
 
 def diagnose_response(
@@ -161,7 +160,8 @@ def _diagnose_few_sensors(measurement: Measurement, features: np.ndarray, bearin
         orbit_condition=np.full(len(rank), np.nan),
         together="which share their coefficients" if unknowns.shared else "seen by the same sensors",
     )
-    expected = Deviations(bearings, unknowns.expand_deviation(spread), "smooth functions over all speeds")
+    by = "smooth functions over all speeds"
+    expected = replace(bearings, deviation=unknowns.expand_deviation(spread), by=by)
     return Diagnosis((report,), expected, by_least_squares=False)
 
 

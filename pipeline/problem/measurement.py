@@ -18,7 +18,8 @@ from pipeline.data.dataset import VibrationDataset
 from pipeline.data.sensors import NoiseModel
 from pipeline.laws.law_set import NO_LAWS, LawSet
 from pipeline.parameters.bearings import known_variation
-from pipeline.parameters.model import ModelParameter, set_values, update_rotor
+from pipeline.parameters.kind import ModelParameter
+from pipeline.parameters.model import set_values, update_rotor
 from pipeline.parameters.weights import update_excitations
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.noise import residual_root
@@ -28,7 +29,7 @@ from pipeline.problem.residual import BearingEquations, LinearResidual, bearing_
 from pipeline.problem.response import ResponseBlock, ResponseEquations
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
-from pipeline.unknowns import BearingUnknowns, Structure, UnknownSet, unknown_set
+from pipeline.unknowns import Structure, UnknownSet, tie, unknown_set
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,8 @@ class Measurement:
 
         model = load_rotor(RotorConfig(file=str(rotor)))
         dataset = read_dataset(Path(vibration), Path(excitation), model, baseline, same_conditions)
-        nodes, asked = model.bearing_nodes, BearingUnknowns(tuple(unknowns), structure)
-        others = tuple(name for name in COEFFICIENTS if name not in asked.coefficients)
+        nodes, asked = model.bearing_nodes, tie(tuple(unknowns), structure)
+        others = tuple(name for name in COEFFICIENTS if name not in asked)
         if known is None and not others:
             nothing = np.zeros((len(nodes), len(dataset.speeds), len(COEFFICIENTS)))
             table = BearingTable(nodes, dataset.speeds, nothing, dataset.operating)

@@ -20,8 +20,8 @@ import numpy as np
 
 from pipeline.data.dataset import VibrationDataset, assemble_forces, group_runs, synchronous
 from pipeline.parameters.geometry import bow_change, bow_force
-from pipeline.parameters.kind import turns_with_rotor
-from pipeline.parameters.model import ModelParameter, set_values, update_rotor
+from pipeline.parameters.kind import ModelParameter, turns_with_rotor
+from pipeline.parameters.model import set_values, update_rotor
 from pipeline.parameters.probes import runout, sensor_change, sensor_matrix
 from pipeline.parameters.weights import force_changes, update_excitations
 from pipeline.problem.response import ResponseBlock, ResponseEquations

@@ -17,7 +17,7 @@ from pipeline.data.operating import space_evenly, split_states
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import measure_relative_errors
-from pipeline.problem.determination import Deviations
+from pipeline.problem.determination import find_lost
 from pipeline.reporting.blocks import BLACK, GREY, LOOKS, NOTHING, RPM, Axes, Curve, Figure, Panel, mark
 from pipeline.reporting.matplotlib_figures import write_figure
 from pipeline.rotor.bearing_table import BearingTable
@@ -30,44 +30,31 @@ UNITS = {"k": (1e-6, "MN/m"), "c": (1e-3, "kN s/m")}
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """An answer and what is known beside it; NaN where no truth is modelled, or no deviation is stated."""
+    """An answer and what is known beside it."""
 
-    identified: BearingTable
-    modelled: np.ndarray  # (B, S, 8) N/m and N s/m
+    identified: BearingTable  # with deviations, where the fit states some
+    modelled: BearingTable | None  # the truth, where there is one
     unknowns: Sequence[Sequence[str]]  # of each bearing
-    deviation: np.ndarray  # (B, S, 8)
 
-    @classmethod
-    def collect(
-        cls,
-        identified: BearingTable,
-        modelled: BearingTable | None,
-        unknowns: Sequence[Sequence[str]],
-        deviation: np.ndarray | None,
-    ) -> Coefficients:
-        """What there is."""
-        nothing = np.full_like(identified.values, np.nan)
-        return cls(
-            identified,
-            nothing if modelled is None else modelled.values,
-            unknowns,
-            nothing if deviation is None else deviation,
-        )
+    @cached_property
+    def truth(self) -> np.ndarray:
+        """(B, S, 8) N/m and N s/m; NaN where none is modelled."""
+        return np.full_like(self.identified.values, np.nan) if self.modelled is None else self.modelled.values
 
     @property
     def compared(self) -> bool:
         """Whether the truth is known."""
-        return bool(np.isfinite(self.modelled).any())
+        return bool(np.isfinite(self.truth).any())
 
     @property
     def stated(self) -> bool:
         """Whether the fit states deviations."""
-        return bool(np.isfinite(self.deviation).any())
+        return bool(np.isfinite(self.identified.spread).any())
 
     @cached_property
     def lost(self) -> np.ndarray:
         """(B, S, 8) bool: where the data do not determine it."""
-        return Deviations(self.identified, self.deviation, "").lost
+        return find_lost(self.identified)
 
     @property
     def rpm(self) -> np.ndarray:
@@ -76,12 +63,7 @@ class Coefficients:
 
     def at(self, points: np.ndarray) -> Coefficients:
         """The same at these points."""
-        return replace(
-            self,
-            identified=self.identified.at(points),
-            modelled=self.modelled[:, points],
-            deviation=self.deviation[:, points],
-        )
+        return replace(self, identified=self.identified.at(points), modelled=self.modelled and self.modelled.at(points))
 
     def choose(self, letters: str) -> list[str]:
         """The coefficients of these letters (k, c) that are identified of any bearing."""
@@ -99,7 +81,7 @@ class Coefficients:
         values, known = scale * self.identified.values[b, :, c], name not in self.unknowns[b]
         if known:
             return [Curve(self.rpm, values, f"{name} known, not identified", colour, "dash")] if values.any() else []
-        deviation = scale * self.deviation[b, :, c]
+        deviation = scale * self.identified.spread[b, :, c]
         lost = self.lost[b, :, c]
         given = np.where(lost, np.nan, values)
         drawn = Curve(self.rpm, given, label, colour) if line else mark(self.rpm, given, label, colour, marker, count)
@@ -108,20 +90,20 @@ class Coefficients:
         key = [Curve(NOTHING, NOTHING, BAND, GREY, filled=True)] if np.isfinite(deviation).any() else []
         return [
             Curve(self.rpm, values, "", colour, "none", deviation=deviation),
-            Curve(self.rpm, scale * self.modelled[b, :, c], "modelled", BLACK, width=1.2),
+            Curve(self.rpm, scale * self.truth[b, :, c], "modelled", BLACK, width=1.2),
             replace(drawn, marker="o" if len(values) == 1 else drawn.marker),
             *key,
         ]
 
     def measure_errors(self, b: int, name: str) -> np.ndarray:
         """(S,) percent of the modelled coefficient; NaN where that is zero or not known."""
-        return measure_relative_errors(self.identified, replace(self.identified, values=self.modelled), name)[b]
+        return measure_relative_errors(self.identified, replace(self.identified, values=self.truth), name)[b]
 
     def draw_errors(self, b: int, name: str, colour: str) -> list[Curve]:
         """The error in percent, and dotted the nominal 95 % interval."""
         c, error = COEFFICIENTS.index(name), self.measure_errors(b, name)
         with np.errstate(divide="ignore", invalid="ignore"):
-            stated = 100 * NOMINAL_95 * self.deviation[b, :, c] / np.abs(self.modelled[b, :, c])
+            stated = 100 * NOMINAL_95 * self.identified.spread[b, :, c] / np.abs(self.truth[b, :, c])
         return [
             Curve(self.rpm, np.maximum(error, 1e-14), "", colour, width=1.2),
             Curve(self.rpm, stated, "", colour, "dot", width=1.2),
@@ -211,7 +193,7 @@ def draw_state_panels(
         for name in known or [name for name in names if name in shown.unknowns[b]]:
             (scale, measured_in), curves, errors = UNITS[name[0]], [], []
             for (label, state), colour in zip(states, colours, strict=True):
-                answer = Coefficients.collect(state.identified, None, [[name]] * (b + 1), None) if known else state
+                answer = Coefficients(state.identified, None, [[name]] * (b + 1)) if known else state
                 curves += answer.draw(b, name, label, (colour, "o"), scale, 12, line=not answer.compared)
                 errors += answer.draw_errors(b, name, colour)
             axes = [Axes(curves, f"{name} ({measured_in})")]

@@ -68,7 +68,7 @@ class FitContent:
     @cached_property
     def coefficients(self) -> Coefficients:
         """At the points of the data."""
-        return Coefficients.collect(self.answer.table, self.modelled, self.answer.names, self.answer.deviation)
+        return Coefficients(self.answer.stated, self.modelled, self.answer.names)
 
     @cached_property
     def at_conditions(self) -> Coefficients:
@@ -77,8 +77,7 @@ class FitContent:
         if self.twin is None:
             data = self.answer.measurement.dataset
             return self.coefficients.at(find_nearest(data.speeds, data.operating, self.operating)[1])
-        table = self.twin.systems["identified"]
-        return Coefficients.collect(table, None, self.answer.names, self.answer.deviation_at(table))
+        return Coefficients(self.answer.state(self.twin.systems["identified"]), None, self.answer.names)
 
     @cached_property
     def predicted(self) -> np.ndarray:

@@ -173,7 +173,16 @@ def format_runs(config: Config, chosen: Runs, speeds: SpeedsConfig) -> str:
     runs = [
         {"name": acting[0].run}
         | {
-            f"{kind}s": [_format_source(excitation) for excitation in acting if excitation.kind == kind]
+            f"{kind}s": [
+                {
+                    "node": excitation.node,
+                    "magnitude": f"{excitation.magnitude:.12g} {'N' if kind == 'force' else 'kg m'}",
+                    "phase": f"{np.degrees(excitation.phase):.12g} deg",
+                    **({"whirl": excitation.whirl} if kind == "force" else {}),
+                }
+                for excitation in acting
+                if excitation.kind == kind
+            ]
             for kind in ("unbalance", "force")
             if any(excitation.kind == kind for excitation in acting)
         }
@@ -182,13 +191,3 @@ def format_runs(config: Config, chosen: Runs, speeds: SpeedsConfig) -> str:
     return f"# Chosen by: python -m pipeline stage=design {config.chosen}\n" + yaml.safe_dump(
         {"speeds": speeds.model_dump(), "runs": runs}, sort_keys=False
     )
-
-
-def _format_source(excitation: Excitation) -> dict[str, object]:
-    force = excitation.kind == "force"
-    return {
-        "node": excitation.node,
-        "magnitude": f"{excitation.magnitude:.12g} {'N' if force else 'kg m'}",
-        "phase": f"{np.degrees(excitation.phase):.12g} deg",
-        **({"whirl": excitation.whirl} if force else {}),
-    }

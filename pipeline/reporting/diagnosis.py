@@ -73,7 +73,7 @@ def tabulate_diagnosis(
     rows: list[dict[Hashable, Any]] = []
     for report in diagnosis.reports:
         for node in report.nodes:
-            names, b = diagnosis.relative(node), diagnosis.deviations.table.nodes.index(node)
+            names, b = diagnosis.relative(node), diagnosis.expected.nodes.index(node)
             columns = {
                 "bearing_node": np.full(len(report.speeds), node),
                 "speed_rpm": to_rpm(report.speeds),
@@ -84,8 +84,8 @@ def tabulate_diagnosis(
                 "orbit_rank": report.orbit_rank,
                 "orbit_condition_number": report.orbit_condition,
                 **{f"singular_value_{i + 1}": values for i, values in enumerate(report.singular_values.T)},
-                **{f"{name}_std": diagnosis.deviations.values[b, :, COEFFICIENTS.index(name)] for name in names},
-                **{f"{e.name}_verdict": [e.verdict.value] * len(report.speeds) for e in judged if e.node == node},
+                **{f"{name}_std": diagnosis.expected.spread[b, :, COEFFICIENTS.index(name)] for name in names},
+                **{f"{e.name}_verdict": [e.verdict.determined] * len(report.speeds) for e in judged if e.node == node},
             }
             rows += [{name: column[s] for name, column in columns.items()} for s in range(len(report.speeds))]
     return rows
@@ -94,7 +94,9 @@ def tabulate_diagnosis(
 def list_determined(caption: str, judged: Sequence[Determined]) -> Table:
     """The verdict on each coefficient, a column a bearing, on screen and in the report."""
     nodes = dict.fromkeys(each.node for each in judged)
-    cells = {(each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.value}" for each in judged}
+    cells = {
+        (each.node, each.name): f"{write_percent(each.deviation, '+- ')}, {each.verdict.determined}" for each in judged
+    }
     names = dict.fromkeys(name for _, name in cells)
     rows = [[name, *(cells.get((node, name), "known") for node in nodes)] for name in names]
     return Table(caption, ["coefficient", *(f"bearing at node {node}" for node in nodes)], rows)

@@ -12,10 +12,11 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import list_columns, write_condition
 from pipeline.data.vibration_files import to_rpm
 from pipeline.evaluation.errors import CoefficientErrors, find_contradiction, list_contradicted
-from pipeline.identification.identified import Fit, FittedParameter
+from pipeline.identification.identified import Fit
 from pipeline.identification.uncertainty import Uncertainty
+from pipeline.parameters.kind import ModelParameter
 from pipeline.parameters.model import KINDS
-from pipeline.problem.determination import Deviations, describe_determined, read_determined
+from pipeline.problem.determination import describe_determined, judge_determined, read_determined
 from pipeline.reporting.blocks import Table
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.console import say, table, warn
@@ -32,8 +33,9 @@ def make_error_table(
     Measured data have no modelled coefficients, and so neither these columns nor errors.
     """
     answer, rows = shown.identified, list[dict[str, Any]]()
-    judged = Deviations(answer, shown.deviation, "").judge() if shown.stated else ()
-    verdicts = {(determined.node, determined.name): determined.verdict.value for determined in judged}
+    verdicts = {
+        (determined.node, determined.name): determined.verdict.determined for determined in judge_determined(answer)
+    }
     for b, node in enumerate(answer.nodes):
         for name in shown.unknowns[b]:
             error = (errors or {}).get(str(node), {}).get(name, {})
@@ -44,12 +46,12 @@ def make_error_table(
                 {
                     "bearing_node": node,
                     "coefficient": name,
-                    "modelled": shown.modelled[b, :, c].mean(),
+                    "modelled": shown.truth[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
                     "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
                     "median_std_percent": float(
-                        100 * np.median(shown.deviation[b, :, c] / np.abs(answer.values[b, :, c]))
+                        100 * np.median(answer.spread[b, :, c] / np.abs(answer.values[b, :, c]))
                     ),
                     "verdict": verdicts.get((node, name)),
                 }
@@ -62,7 +64,17 @@ def print_error_table(name: str, errors: Sequence[Mapping[str, Any]]) -> None:
     """Print the table on the screen."""
     columns = [column for column in _SHOWN if any(column in row for row in errors)]
     rows = [
-        [f"node {row['bearing_node']} {row['coefficient']}", *(_format(c, row.get(c, np.nan)) for c in columns)]
+        [
+            f"node {row['bearing_node']} {row['coefficient']}",
+            *(
+                value
+                if isinstance(value := row.get(column, np.nan), str)
+                else format_engineering(value)
+                if column in ("modelled", "identified")
+                else write_rough(value)
+                for column in columns
+            ),
+        ]
         for row in errors
     ]
     what = "identified against modelled" if "modelled" in columns else "identified"
@@ -81,12 +93,6 @@ _SHOWN = {
     "median_std_percent": "median std %",
     "verdict": "verdict",
 }
-
-
-def _format(column: str, value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    return format_engineering(value) if column in ("modelled", "identified") else write_rough(value)
 
 
 def describe_verdicts(about: Mapping[str, Any]) -> str:
@@ -115,13 +121,13 @@ def describe_quality(quality: Mapping[str, Any]) -> str:
 def tabulate_bad_points(fitted: Fit) -> dict[str, list[Any]]:
     """Readings, and how many deviations they are off."""
     every = fitted.quality.bad_points
-    names = every[0].operating if every else ()
-    conditions = {name: np.array([point.operating[name] for point in every]) for name in names}
+    names = every[0]["operating"] if every else ()
+    conditions = {name: np.array([point["operating"][name] for point in every]) for name in names}
     return {
-        "run": [point.run for point in every],
-        "speed_rpm": to_rpm(np.array([point.speed for point in every])).tolist(),
+        "run": [point["run"] for point in every],
+        "speed_rpm": to_rpm(np.array([point["speed"] for point in every])).tolist(),
         **{name: values.tolist() for name, values in list_columns(conditions).items()},
-        **{name: [getattr(point, name) for point in every] for name in ("node", "direction", "deviations")},
+        **{name: [point[name] for point in every] for name in ("node", "direction", "deviations")},
     }
 
 
@@ -137,16 +143,16 @@ def tabulate_unbalance(uncertainty: Uncertainty | None) -> dict[str, Any]:
     }
 
 
-def tabulate_parameters(every: Sequence[FittedParameter]) -> dict[str, list[Any]]:
+def tabulate_parameters(every: Sequence[ModelParameter]) -> dict[str, list[Any]]:
     """Prior deviation, and what the fit made of it: a share of the stated value, or in the unit; supports' numbers."""
-    numbers, keys = [number.number for number in every], ("number", "number_deviation")
+    numbers, keys = [parameter.number for parameter in every], ("number", "number_deviation")
     table: dict[str, list[Any]] = {
-        "kind": [number.parameter.kind for number in every],
-        "of": [number.parameter.label for number in every],
-        "unit": [number.parameter.row.unit for number in every],
-        "prior_std": [number.parameter.deviation for number in every],
-        "value": [number.parameter.shift for number in every],
-        "std": [number.deviation * number.parameter.deviation for number in every],
+        "kind": [parameter.kind for parameter in every],
+        "of": [parameter.label for parameter in every],
+        "unit": [parameter.row.unit for parameter in every],
+        "prior_std": [parameter.deviation for parameter in every],
+        "value": [parameter.shift for parameter in every],
+        "std": [parameter.left * parameter.deviation for parameter in every],
     }
     return table | {key: [support.get(key, "") for support in numbers] for key in keys if any(numbers)}
 
@@ -194,7 +200,6 @@ def _write_held(kind: str, place: str, number: float, deviation: float) -> str:
     return f"{write_number(hertz, hertz * deviation / (2 * number))} Hz"
 
 
-_ZERO_CELSIUS = 273.15
 _UNITS = {
     "radial_clearance": ("um", 1e6, 0.0),
     "journal_diameter": ("mm", 1e3, 0.0),
@@ -203,7 +208,7 @@ _UNITS = {
     "viscosity": ("mPa s", 1e3, 0.0),
     "slope": ("1/K", 1.0, 0.0),
     "b": ("K", 1.0, 0.0),
-    "c": ("degC", 1.0, -_ZERO_CELSIUS),
+    "c": ("degC", 1.0, -273.15),
     "contact_angle": ("deg", 180.0 / np.pi, 0.0),
 }
 """By the last part of a number's name: the unit that is shown, what SI is multiplied by, and what is added."""

@@ -23,7 +23,7 @@ from pipeline.reporting.measured_figures import (
     draw_responses,
     group_speeds,
 )
-from pipeline.sweep.bias import SweepBias
+from pipeline.sweep.bias import summarize_bias
 from pipeline.units import RAD_S_PER_RPM
 from pipeline.write_numbers import write_number
 
@@ -80,7 +80,10 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
             "baseline": recordings.baseline,
             **({"operating": columns} if columns else {}),
             "runs": runs,
-            "sweeps": {name: _describe_sweep(bias) for name, bias in measured.sweeps.items()},
+            "sweeps": {
+                name: {"rate_rpm_per_s": bias.rate / RAD_S_PER_RPM, **summarize_bias(bias)}
+                for name, bias in measured.sweeps.items()
+            },
             "notes": list(notes),
         },
         draw,
@@ -101,16 +104,6 @@ def _summarize_run(measured: MeasuredRuns, index: int) -> dict[str, Any]:
         "first_rpm": float(min(to_rpm(track.speeds[:1])[0] for track in tracks)),
         "last_rpm": float(max(to_rpm(track.speeds[-1:])[0] for track in tracks)),
         "largest_um": float(1e6 * np.abs(measured.recorded.displacement[..., index]).max()),
-    }
-
-
-def _describe_sweep(bias: SweepBias) -> dict[str, float]:
-    return {
-        "rate_rpm_per_s": bias.rate / RAD_S_PER_RPM,
-        "peak_shift_percent": 100 * bias.peak_shift,
-        "damping_factor": bias.damping_factor,
-        "amplitude_factor": bias.amplitude_factor,
-        "rate_limit_rpm_per_s": bias.limit / RAD_S_PER_RPM,
     }
 
 

@@ -11,7 +11,7 @@ from pipeline.data.vibration_files import to_rpm
 from pipeline.identification.identified import Answer
 from pipeline.ingest.run_up import RunUpConfig
 from pipeline.reporting.console import say, table, warn
-from pipeline.sweep.bias import describe_bias
+from pipeline.sweep.bias import describe_bias, summarize_bias
 from pipeline.sweep.fit import ModalFit
 from pipeline.sweep.readings import Reading, RunUpAnalysis, compare_natural_frequency, read_mode
 from pipeline.twin.mode_deviations import expect_criticals
@@ -21,7 +21,7 @@ from pipeline.write_numbers import write_number, write_percent, write_rough
 
 def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis) -> dict[str, Any]:
     """What ``run_up.json`` has."""
-    run_up, bias, steady, frequency = analysis.run_up, analysis.bias, analysis.steady, analysis.frequency
+    run_up, steady, frequency = analysis.run_up, analysis.steady, analysis.frequency
     rpm = to_rpm(run_up.speeds)
     return {
         "file": settings.file,
@@ -50,12 +50,7 @@ def summarize_run_up(settings: RunUpConfig, analysis: RunUpAnalysis) -> dict[str
             "deviation_rpm": frequency.deviation / RAD_S_PER_RPM,
         },
         "damping_ratio": {"value": analysis.damping.value, "deviation": analysis.damping.deviation},
-        "sweep": {
-            "peak_shift_percent": 100 * bias.peak_shift,
-            "damping_factor": bias.damping_factor,
-            "amplitude_factor": bias.amplitude_factor,
-            "rate_limit_rpm_per_s": bias.limit / RAD_S_PER_RPM,
-        },
+        "sweep": summarize_bias(analysis.bias),
     }
 
 

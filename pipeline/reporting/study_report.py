@@ -192,6 +192,7 @@ def write_report(report: StudyReport) -> str:
         *([f"training.holdout_every={every}"] if every else []),
         *([f"tuning.study={tuning.study} {overridden}"] if tuning.study != config.name else []),
     ]
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])
     drawn = {"importance": report.importances, "learning_curves": any(trial.curve for trial in report.trials)}
     parts = [
         f"# Study `{tuning.study}`",
@@ -207,7 +208,7 @@ def write_report(report: StudyReport) -> str:
         _compare(report),
         *_explain_limits(report),
         _list_values(report),
-        _say_importance(report),
+        f"What sets the best trials apart (importance by PED-ANOVA): {shares}." if shares else "",
         "`trials.csv` has every trial, `finalists.csv` every finalist and seed, `best.yaml` what training uses.",
         *(f"![{title}](figures/{name}.png)" for name, title in _FIGURES.items() if drawn.get(name, True)),
     ]
@@ -291,8 +292,3 @@ def _list_values(report: StudyReport) -> str:
     changed = {key: value for key, value in report.best.values.items() if before[key] != value}
     rows = [[f"`{key}`", write_value(before[key]), write_value(value)] for key, value in changed.items()]
     return format_markdown(["value", "default", "chosen"], rows).rstrip() if rows else ""
-
-
-def _say_importance(report: StudyReport) -> str:
-    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in list(report.importances.items())[:4])
-    return f"What sets the best trials apart (importance by PED-ANOVA): {shares}." if shares else ""

@@ -52,6 +52,11 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     """Write the whole screen; it ends with a newline."""
     config, judged = content.config, content.machine_verdict
     whole = (judged["reservation"] or f"{judged['verdict']}: {judged['reason']}").rstrip(".")
+    rotor, file = content.measurement.rotor, config.machine.rotor.file
+    machine = (
+        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
+        f"discs at {_name_nodes(rotor.disc_nodes)}" + (f", from '{file}'" if file else "")
+    )
     numbers = [
         f"{number['label']} {write_number(number['value'], number['deviation'])} {number['unit']}"
         for number in list_numbers(fit.training.get("physical_numbers", {}), config)
@@ -59,7 +64,7 @@ def write_summary(content: ReportContent, fit: FitContent, picture: Path) -> str
     lines = [
         *_wrap(f"{config.name}: {config.description}", "", 1),
         "",
-        *_wrap_entry("machine", _describe_machine(content)),
+        *_wrap_entry("machine", machine),
         *_wrap_entry("data", describe_data(content, fit)),
         "",
         *_list_coefficients(config, fit),
@@ -96,15 +101,6 @@ def _wrap_entry(name: str, text: str) -> list[str]:
 def _wrap(text: str, first: str, lines: int) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, initial_indent=first, subsequent_indent=_INDENT, max_lines=lines, placeholder=" ..."
-    )
-
-
-def _describe_machine(content: ReportContent) -> str:
-    rotor, file = content.measurement.rotor, content.config.machine.rotor.file
-    source = f", from '{file}'" if file else ""
-    return (
-        f"{rotor.n_nodes} nodes, {write_number(rotor.total_mass)} kg, bearings at {_name_nodes(rotor.bearing_nodes)}, "
-        f"discs at {_name_nodes(rotor.disc_nodes)}{source}"
     )
 
 
@@ -160,7 +156,8 @@ def _list_coefficients(config: Config, fit: FitContent) -> list[str]:
     rows = [(b, name) for b, names in enumerate(shown.unknowns) for name in names]
     for b, name in rows[:_MOST_ROWS]:
         head, c = f"  {f'node {shown.identified.nodes[b]} {name}, {unit(name)}':<18}", COEFFICIENTS.index(name)
-        pairs = [(float(shown.identified.values[b, s, c]), float(shown.deviation[b, s, c])) for _, s in columns]
+        answer = shown.identified
+        pairs = [(float(answer.values[b, s, c]), float(answer.spread[b, s, c])) for _, s in columns]
         cells = [f"{format_engineering(*pair):>22}" for pair in pairs]
         error = float(np.median(shown.measure_errors(b, name)))
         lines.append("".join([head, *cells, f"{write_rough(error):>12}" if shown.compared else ""]))

@@ -22,10 +22,17 @@ class BearingTable:
     speeds: np.ndarray  # (S,) rad/s
     values: np.ndarray  # (B, S, 8) N/m and N s/m
     operating: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (S,) SI, temperatures in K
+    deviation: np.ndarray | None = None  # (B, S, 8) standard deviations; NaN where known; None where none is stated
+    by: str = ""  # in words: what the deviations follow from
 
     def coefficient(self, name: str) -> np.ndarray:
         """(B, S) values of one coefficient."""
         return self.values[..., COEFFICIENTS.index(name)]
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(B, S, 8) standard deviations; NaN where none is stated."""
+        return np.full_like(self.values, np.nan) if self.deviation is None else self.deviation
 
     def with_unknowns(self, unknowns: UnknownSet, values: np.ndarray) -> BearingTable:
         """These coefficients, with unknowns (M, S, U), or constants (M, 1, U), in their places."""
@@ -51,4 +58,6 @@ class BearingTable:
     def at(self, keep: np.ndarray) -> BearingTable:
         """The same at the points that the mask or index ``keep`` selects."""
         operating = {name: values[keep] for name, values in self.operating.items()}
-        return replace(self, speeds=self.speeds[keep], values=self.values[:, keep], operating=operating)
+        spread = None if self.deviation is None else self.deviation[:, keep]
+        part = replace(self, speeds=self.speeds[keep], values=self.values[:, keep], operating=operating)
+        return replace(part, deviation=spread)

@@ -286,14 +286,13 @@ class RotorFileBearingConfig(_Bearing):
 _SingleBearing = (
     BallBearingConfig | CylindricalBearingConfig | JournalTableConfig | SpeedTableConfig | LinearBearingConfig
 )
-AnyBearingConfig = Annotated[_SingleBearing, Field(discriminator="kind")]
 
 
 class PerNodeBearingConfig(_Bearing):
     """Bearings that differ, by node."""
 
     kind: Literal["per_node"]
-    nodes: dict[NonNegativeInt, AnyBearingConfig] = Field(min_length=1)
+    nodes: dict[NonNegativeInt, Annotated[_SingleBearing, Field(discriminator="kind")]] = Field(min_length=1)
 
     changes: ClassVar[bool] = False
 

@@ -15,7 +15,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import make_rotor, ross
 
 if TYPE_CHECKING:
-    from pipeline.parameters.model import ModelParameter
+    from pipeline.parameters.kind import ModelParameter
 
 
 def export_rotor(config: RotorConfig, parameters: Sequence[ModelParameter], bearings: BearingTable) -> Any:

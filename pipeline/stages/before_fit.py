@@ -11,7 +11,7 @@ from pipeline.config.schema import Config
 from pipeline.data.operating import write_condition
 from pipeline.errors import IdentifiabilityError
 from pipeline.laws.numbers import OIL_TEMPERATURE
-from pipeline.problem.determination import describe_determined
+from pipeline.problem.determination import describe_determined, judge_determined
 from pipeline.problem.identifiability import Solvability
 from pipeline.problem.law_information import (
     describe_open,
@@ -81,14 +81,14 @@ def say_beforehand(analysis: Analysis) -> None:
 def say_diagnosis(analysis: Analysis) -> None:
     """A line a bearing, before a fit."""
     config, diagnosis, expected = analysis.config, diagnose(analysis), expect(analysis)
-    judged = expected.judge()
+    judged = judge_determined(expected)
     for report in diagnosis.reports:
         text = report.sentence
         if report.verdict is not Solvability.NOT_IDENTIFIABLE:
             members = [coefficient for coefficient in judged if coefficient.node in report.nodes]
             text += (
                 f"; condition number {write_rough(np.median(report.condition))} (worst "
-                f"{write_rough(report.condition.max())}); at {config.describe_noise()}, {expected.of}: "
+                f"{write_rough(report.condition.max())}); at {config.describe_noise()}, {expected.by}: "
                 f"{describe_determined(members)}"
             )
         say(f"{config.name}: {text}")

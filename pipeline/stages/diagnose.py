@@ -10,7 +10,7 @@ from pipeline.files import write_json
 from pipeline.identification.combinations import combine
 from pipeline.identification.fit import loss_of
 from pipeline.identification.training import setup_of
-from pipeline.problem.determination import summarize_determined
+from pipeline.problem.determination import judge_determined, summarize_determined
 from pipeline.problem.diagnosis import budget_percent
 from pipeline.reporting.console import say, table, warn
 from pipeline.reporting.diagnosis import (
@@ -48,12 +48,12 @@ def run(analysis: Analysis) -> StageRecord:
     bearings = summarize_diagnosis(diagnosis)
     table(*list_bearings(f"{config.name}: what the data determine at each speed, at {noise}", bearings))
     expected = expect(analysis)
-    judged = expected.judge()
-    table(*list_determined(f"{config.name}: each coefficient at {noise}, {expected.of} (medians)", judged))
+    judged = judge_determined(expected)
+    table(*list_determined(f"{config.name}: each coefficient at {noise}, {expected.by} (medians)", judged))
     summary: dict[str, object] = {
         "stated_noise": config.stated_noise.model_dump(),
         "bearings": bearings,
-        "determined": {"by": expected.of, "coefficients": summarize_determined(judged)},
+        "determined": {"by": expected.by, "coefficients": summarize_determined(judged)},
         **numbers,
     }
     judges = diagnosis.solved and loss_of(config.loss).weighs_noise
@@ -77,7 +77,7 @@ def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
     config, measurement, work = analysis.config, prepare(analysis), analysis.files
     stated = config.identify.model_parameters.deviations
-    every = budget_percent(measurement, diagnose(analysis).deviations.table) if stated else None
+    every = budget_percent(measurement, diagnose(analysis).expected) if stated else None
     if every is None:
         return []
     names, nodes = measurement.unknowns.names, measurement.rotor.bearing_nodes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +41,10 @@ from pipeline.write_numbers import write_number
 def run(analysis: Analysis) -> StageRecord:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
     config, files, answer = analysis.config, analysis.files, restore(analysis)
-    table, names, deviation = answer.table, answer.names, answer.deviation
+    table, names = answer.stated, answer.names
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
-    conventional = diagnosis.deviations.table if diagnosis.by_least_squares else None
+    conventional = replace(diagnosis.expected, deviation=None) if diagnosis.by_least_squares else None
     metrics: dict[str, object] = {"coefficients": {}, **quality}
     summary: dict[str, object] = {}
     written: list[Path] = []
@@ -56,7 +57,7 @@ def run(analysis: Analysis) -> StageRecord:
         warn(
             f"{config.name}: coefficients leave all bounds from {rpm.min():g} to {rpm.max():g} rpm, which was held out"
         )
-        table, deviation = table.at(bounded), None if deviation is None else deviation[:, bounded]
+        table = table.at(bounded)
         modelled = None if modelled is None else modelled.at(bounded)
         conventional = None if conventional is None else conventional.at(bounded)
     errors = None if modelled is None else measure_errors(table, modelled, names)
@@ -66,9 +67,9 @@ def run(analysis: Analysis) -> StageRecord:
         metrics["coefficients"] = errors
         if beside is not None:
             metrics["least_squares"] = beside
-        if deviation is not None:
-            metrics["within_95_percent_interval"] = list_coverage(table, modelled, deviation, names)
-    shown = Coefficients.collect(table, modelled, names, deviation)
+        if table.deviation is not None:
+            metrics["within_95_percent_interval"] = list_coverage(table, modelled, names)
+    shown = Coefficients(table, modelled, names)
     rows = make_error_table(shown, errors, beside)
     written.append(write_table(files.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)

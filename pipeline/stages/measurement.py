@@ -17,7 +17,6 @@ from pipeline.identification.identified import Answer
 from pipeline.identification.storage import load_answer
 from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, list_known, load_known, require_known
-from pipeline.problem.determination import Deviations
 from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
@@ -116,7 +115,7 @@ def diagnose(analysis: Analysis) -> Diagnosis:
 
 
 @made_once(*_DATA)
-def expect(analysis: Analysis) -> Deviations:
+def expect(analysis: Analysis) -> BearingTable:
     """The deviations that the stated noise will leave to the configured fit."""
     setup = setup_of(analysis.config)
     return loss_of(setup.loss).expect(prepare(analysis), setup, diagnose(analysis))

@@ -19,8 +19,6 @@ from pipeline.rotor.stored import load_rotor
 from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord
 
-TEMPLATE = Path(__file__).with_name("machine_file.yaml")
-
 
 def run(analysis: Analysis) -> StageRecord:
     """The machine file, and the next command. Raises ConfigError without ``machine.file``, DataError where it is."""
@@ -86,4 +84,9 @@ def fill_template(path: Path, bearings: str, data: str, supports: str = "none", 
     seen = {"shaft": {"shaft"}, "both": {"relative", "casing", "ground"}}.get(probes, {probes, "ground"})
     tags = {bearings, supports} | sections[data] | seen
     command = f"python -m pipeline stage=identify {quote_override('machine.file', path.name)}"
-    return render(TEMPLATE, command=command, name=clean_name(path), **dict.fromkeys(tags, True))
+    return render(
+        Path(__file__).with_name("machine_file.yaml"),
+        command=command,
+        name=clean_name(path),
+        **dict.fromkeys(tags, True),
+    )

@@ -16,7 +16,7 @@ from pipeline.identification.quality import FAR_FROM_EXPECTED, finite
 from pipeline.identification.storage import save_model
 from pipeline.identification.training import Outcome, setup_of
 from pipeline.identification.uncertainty import save_uncertainty
-from pipeline.problem.determination import Deviations, summarize_determined
+from pipeline.problem.determination import judge_determined, summarize_determined
 from pipeline.reporting.console import say, table, training_progress, warn
 from pipeline.reporting.fit_tables import (
     describe_verdicts,
@@ -26,6 +26,7 @@ from pipeline.reporting.fit_tables import (
     tabulate_parameters,
     tabulate_unbalance,
 )
+from pipeline.rotor.bearing_table import BearingTable
 from pipeline.stages.analysis import Analysis, use_threads
 from pipeline.stages.before_fit import say_beforehand
 from pipeline.stages.measurement import diagnose, expect, prepare
@@ -47,7 +48,7 @@ def run(analysis: Analysis) -> StageRecord:
     # A loss that overflowed is no JSON number.
     held_out = {} if fitted.held_out_loss is None else {"held_out_loss": finite(fitted.held_out_loss)}
     summary: dict[str, Any] = {"loss": finite(fitted.loss), "steps": fitted.steps, **held_out, **fitted.quality.summary}
-    summary["determined"] = {"by": after.of, "coefficients": summarize_determined(after.judge())}
+    summary["determined"] = {"by": after.by, "coefficients": summarize_determined(judge_determined(after))}
     files = _write(analysis, fitted, answer, summary)
     _report(analysis, fitted, summary)
     say(f"{config.name}: {describe_verdicts(summary)}")
@@ -62,14 +63,14 @@ def run(analysis: Analysis) -> StageRecord:
     )
 
 
-def _deviations(analysis: Analysis, answer: Answer) -> Deviations:
+def _deviations(analysis: Analysis, answer: Answer) -> BearingTable:
     """Posterior ones, of a loss that states them; else those that were expected."""
-    values, stated = answer.deviation, analysis.config.describe_noise()
-    if values is None:
+    stated = analysis.config.describe_noise()
+    if answer.stated.deviation is None:
         expected = expect(analysis)
-        return replace(expected, of=f"at {stated}, {expected.of}")
+        return replace(expected, by=f"at {stated}, {expected.by}")
     noise = "the noise that was found" if analysis.config.loss.noise == "estimated" else stated
-    return Deviations(answer.table, values, f"by this fit at {noise}")
+    return replace(answer.stated, by=f"by this fit at {noise}")
 
 
 def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str, object]) -> list[Path]:
@@ -84,7 +85,7 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
     }
     return [
         *model,
-        write_coefficients(work.identified, answer.table, deviation=answer.deviation),
+        write_coefficients(work.identified, answer.stated),
         write_table(work.folder / "bad_points.csv", tabulate_bad_points(fitted)),
         write_table(work.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
         write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted.parameters)),
@@ -105,9 +106,9 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
     )
     stated = config.identify.model_parameters.deviations
     told = {
-        number.parameter.name: summary["model_parameters"][number.parameter.name]
-        for number in fitted.parameters
-        if number.parameter.kind in stated or abs(number.parameter.value) > 1
+        parameter.name: summary["model_parameters"][parameter.name]
+        for parameter in fitted.parameters
+        if parameter.kind in stated or abs(parameter.value) > 1
     }
     table(*list_parameters(f"{config.name}: model parameters, against what is stated", told))
     if untold := len(fitted.parameters) - len(told):

@@ -192,6 +192,16 @@ def find_mode(
     return float(np.exp(fitted.x[0])), float(np.exp(fitted.x[1]))
 
 
+def summarize_bias(bias: SweepBias) -> dict[str, float]:
+    """The bias for JSON."""
+    return {
+        "peak_shift_percent": 100 * bias.peak_shift,
+        "damping_factor": bias.damping_factor,
+        "amplitude_factor": bias.amplitude_factor,
+        "rate_limit_rpm_per_s": bias.limit / RAD_S_PER_RPM,
+    }
+
+
 def describe_bias(bias: SweepBias) -> str:
     """Write the bias as a sentence."""
     rpm = 1 / RAD_S_PER_RPM

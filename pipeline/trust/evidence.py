@@ -6,7 +6,7 @@ Legend: S speeds, P channels, R runs, B bearings. SI units.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from pipeline.data.operating import space_evenly
 from pipeline.data.sensors import NOMINAL_95
 from pipeline.identification.identified import IdentifiedModel
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.problem.determination import Deviations
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.linearised import LinearisedFit, linearise
@@ -36,7 +35,7 @@ class Growth(NamedTuple):
 class Evidence:
     """Everything that a verdict rests on."""
 
-    deviations: Deviations  # of the answer: of noise, misfit and functions, and of tolerances
+    answer: BearingTable  # with deviations of noise, misfit and functions, and of tolerances
     by_fit: np.ndarray  # (B, S, 8) the same without tolerances, N/m and N s/m
     tolerances: Mapping[str, np.ndarray]  # kind -> (B, S, 8) of each kind of tolerances by itself
     moves: Mapping[
@@ -53,14 +52,9 @@ class Evidence:
     outcome: str  # of the training
 
     @property
-    def answer(self) -> BearingTable:
-        """The coefficients."""
-        return self.deviations.table
-
-    @property
     def band(self) -> np.ndarray:
         """(B, S, 8) half the 95 % interval."""
-        return np.asarray(NOMINAL_95 * self.deviations.values)
+        return np.asarray(NOMINAL_95 * self.answer.spread)
 
 
 def gather(
@@ -99,7 +93,7 @@ def gather(
         for masks in (every_run, every_probe)
     )
     return Evidence(
-        deviations=Deviations(answer, deviate(uncertainty.covariance), "by this fit"),
+        answer=replace(answer, deviation=deviate(uncertainty.covariance), by="by this fit"),
         by_fit=deviate(uncertainty.without_tolerances),
         tolerances={name: deviate(unfitted.select(name).covariance()) for name in unfitted.names},
         moves={name: (move, explained) for name, (move, explained, _) in (of_runs | of_probes).items()},

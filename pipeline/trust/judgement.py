@@ -24,7 +24,7 @@ from pipeline.identification.held_out import held_out_points, held_out_runs
 from pipeline.identification.identified import Answer
 from pipeline.identification.quality import MISMATCH
 from pipeline.ingest.plausibility import measure_backward
-from pipeline.problem.determination import Determined, describe_determined
+from pipeline.problem.determination import Determined, Verdict, describe_determined, judge_determined
 from pipeline.problem.ranking import rank_indices
 from pipeline.trust.evidence import Evidence, gather
 from pipeline.trust.linearised import Gains, weigh_candidates
@@ -35,7 +35,6 @@ from pipeline.trust.verdict import (
     ORDER,
     CoefficientVerdict,
     Reason,
-    Verdict,
     find_contradicted,
     gravest,
     judge_coefficient,
@@ -208,8 +207,8 @@ def judge(
         "speeds": {"first_rpm": float(rpm[0]), "last_rpm": float(rpm[-1])},
     }
     verdicts = []
-    places = np.argwhere(~np.isnan(evidence.deviations.values).all(axis=1)).tolist()
-    for (b, c), determined in zip(places, evidence.deviations.judge(), strict=True):
+    places = np.argwhere(~np.isnan(evidence.answer.spread).all(axis=1)).tolist()
+    for (b, c), determined in zip(places, judge_determined(evidence.answer), strict=True):
         reasons, checks = judge_coefficient(evidence, determined, b, c)
         reasons = gravest([*common, *(_add_step(reason, gains, b, c, nodes[b]) for reason in reasons)])
         verdicts.append(CoefficientVerdict(b + 1, nodes[b], COEFFICIENTS[c], tuple(reasons), checks | shared))

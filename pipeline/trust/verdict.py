@@ -11,35 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS, is_direct
 from pipeline.data.sensors import NOMINAL_95
-from pipeline.problem.determination import Determination, Determined, measure_sizes
+from pipeline.problem.determination import Determined, Verdict, measure_sizes
 from pipeline.problem.ranking import rank
 from pipeline.trust.evidence import Evidence
 from pipeline.trust.mistake import Mistake
 from pipeline.write_numbers import write_number, write_percent, write_rough
 
-
-class Verdict(StrEnum):
-    """Can it be used?"""
-
-    GOOD = "good"
-    WITH_CARE = "with care"
-    NO = "no"
-
-
 ORDER = tuple(Verdict)
 """From the most to the least favourable."""
-_ALLOWED = {
-    Determination.WELL: Verdict.GOOD,
-    Determination.WEAKLY: Verdict.WITH_CARE,
-    Determination.NOT: Verdict.NO,
-}
 
 
 def worst(verdicts: Sequence[Verdict]) -> Verdict:
@@ -322,7 +307,7 @@ def judge_coefficient(
 
 def _judge_band(which: str, determined: Determined, fit: float, tolerances: dict[str, float]) -> list[Reason]:
     """By the deviation with everything in it; ``fit`` is its share without tolerances."""
-    verdict = _ALLOWED[determined.verdict]
+    verdict = determined.verdict
     if verdict is Verdict.GOOD:
         return []
     for kind in rank({name: tolerance for name, tolerance in tolerances.items() if tolerance > fit})[:1]:

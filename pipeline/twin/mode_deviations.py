@@ -23,7 +23,8 @@ import numpy as np
 
 from pipeline.errors import ConfigError
 from pipeline.identification.uncertainty import Uncertainty
-from pipeline.parameters.model import ModelParameter, rotor_change
+from pipeline.parameters.kind import ModelParameter
+from pipeline.parameters.model import rotor_change
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import deviate
 from pipeline.rotor.bearing_table import BearingTable

@@ -31,7 +31,8 @@ from scipy.optimize import brentq, least_squares
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.files import write_json
-from pipeline.parameters.model import ModelParameter, set_values, update_rotor
+from pipeline.parameters.kind import ModelParameter
+from pipeline.parameters.model import set_values, update_rotor
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import assemble_systems
 from pipeline.rotor.model import RotorModel, translation_dof

@@ -166,7 +166,7 @@ def run_machine(folder: Path, seed: int, case: str) -> dict[str, Any]:
     fit = fit_output_error(measurement, setup)
     fitted = conclude(fit)
     answer = answer_of(measurement, fitted.model, fitted.uncertainty)
-    deviation = answer.deviation_at(answer.table)
+    deviation = answer.stated.deviation
     assert deviation is not None, "the fit knows how well it knows"
     unknowns = measurement.unknowns
     value, band = (unknowns.to_active(unknowns.leading(a)) for a in (answer.table.values, NOMINAL_95 * deviation))

@@ -179,10 +179,10 @@ def test_stated_deviations_hold(method: str, overrides: tuple[str, ...]) -> None
     for i in range(10):
         case = Case(0.003, "bearings", 60, i)
         found = answer(method, case, *overrides)
-        assert found.deviation is not None
+        assert found.coefficients.deviation is not None
         off = np.abs(found.coefficients.values - machine(*overrides).truth(case).values)
-        stated = ~np.isnan(found.deviation)
-        inside.append((off[stated] <= 1.96 * found.deviation[stated]).mean())
+        stated = ~np.isnan(found.coefficients.spread)
+        inside.append((off[stated] <= 1.96 * found.coefficients.spread[stated]).mean())
     assert 0.9 <= np.mean(inside) <= 0.98
 
 

@@ -28,7 +28,9 @@ def states() -> list[Exported]:
     for celsius in (45.0, 70.0):
         table = warm_bearings(SPEEDS, np.full(len(SPEEDS), celsius))
         operating = {"oil_temperature": celsius + 273.15}
-        found.append(Exported("toy", table, 0.1 * table.values, np.ones((2, 8), dtype=bool), "si", operating))
+        found.append(
+            Exported("toy", replace(table, deviation=0.1 * table.values), np.ones((2, 8), dtype=bool), "si", operating)
+        )
     return found
 
 
@@ -90,7 +92,7 @@ def test_what_is_not_determined_is_named_with_its_speeds(states: list[Exported])
     state, rpm = states[0], states[0].rpm
     deviation = 1e-3 * np.abs(state.table.values)
     deviation[1, :2, 0] = 0.5 * np.abs(state.table.values[1, :2, 0])
-    line = list_conventions([replace(state, deviation=deviation)])[-1]
+    line = list_conventions([replace(state, table=replace(state.table, deviation=deviation))])[-1]
     assert line == (
         f"Not determined by these data, stated for completeness (45 degC): kxx at node 5 below {rpm[2]:.4g} rpm."
     )

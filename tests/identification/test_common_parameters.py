@@ -50,8 +50,8 @@ def test_a_fit_finds_what_all_weights_have_in_common_and_the_bow() -> None:
     read = add_noise(exact, np.full(shape, NOISE), np.random.default_rng(3))
     found = fit_output_error(replace(stated, dataset=read), setup_of(composed(*FITTED)))
     for one, value in zip(conclude(found).parameters, truth, strict=True):
-        assert abs(one.parameter.value - value) < 4 * one.deviation, one.parameter.name
-        if one.parameter.kind != "bearing_position":
-            assert one.deviation < 0.3, one.parameter.name
+        assert abs(one.value - value) < 4 * one.left, one.name
+        if one.kind != "bearing_position":
+            assert one.left < 0.3, one.name
     table = found.identified.table(bearings).values[..., [0, 3]]
     assert table == pytest.approx(bearings.values[..., [0, 3]], rel=0.05)

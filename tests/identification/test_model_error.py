@@ -105,8 +105,8 @@ def test_what_the_model_is_wrong_in_is_found(kind: str, built: dict[str, float])
     data, truth = measured(EXACT.model_copy(update=built))
     wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), (kind,)))
     for one in conclude(right).parameters:
-        assert abs(one.parameter.value - 1.0) <= 4 * one.deviation, one.parameter.name
-        assert one.deviation < 0.15
+        assert abs(one.value - 1.0) <= 4 * one.left, one.name
+        assert one.left < 0.15
     assert worst_error(right, truth) < worst_error(wrong, truth)
     probability = [output_error_quality(fit).summary["fit"]["mismatch"]["probability"] for fit in (wrong, right)]
     assert probability[0] < 1e-3 < probability[1]
@@ -119,9 +119,9 @@ def test_what_slow_roll_leaves_of_the_runout_is_found() -> None:
     wrong, right = (fit_output_error(only(data, *kinds), SETUP) for kinds in ((), ("runout",)))
     left = (data.dataset.displacement - without)[..., :3].mean(axis=(0, 2))  # (P,) the noise is that of both
     for one in conclude(right).parameters:
-        part = getattr(left[one.parameter.place], {"real": "real", "imaginary": "imag"}[one.parameter.detail])
-        assert abs(one.parameter.shift - part) < 3e-8, one.parameter.name
-        assert one.deviation < 0.3
+        part = getattr(left[one.place], {"real": "real", "imaginary": "imag"}[one.detail])
+        assert abs(one.shift - part) < 3e-8, one.name
+        assert one.left < 0.3
     probability = [output_error_quality(fit).summary["fit"]["mismatch"]["probability"] for fit in (wrong, right)]
     assert probability[0] < 1e-3 < probability[1]
 
@@ -131,8 +131,8 @@ def test_what_the_data_do_not_tell_stays_at_its_prior() -> None:
     data, _ = measured(EXACT)
     narrow = ModelParameter("density", 1e-9, "")
     (one,) = conclude(fit_output_error(replace(data, parameters=(narrow,)), SETUP)).parameters
-    assert one.deviation == pytest.approx(1.0, abs=1e-6)
-    assert abs(one.parameter.value) < 1e-5
+    assert one.left == pytest.approx(1.0, abs=1e-6)
+    assert abs(one.value) < 1e-5
 
 
 def test_an_uncertain_model_widens_the_deviations() -> None:

@@ -131,8 +131,8 @@ def test_weights_turned_by_any_angle_end_at_the_same_answer(degrees: int) -> Non
     rig, setup = turned_rig(), setup_of(composed(*FITTED))
     fits = [fit_output_error(turn(with_noise(rig), np.radians(d)), setup) for d in (0, degrees)]
     (here,), (there,) = (conclude(fit).parameters for fit in fits)
-    apart = WIDE * (there.parameter.value - here.parameter.value) - np.radians(degrees)
-    assert abs(np.angle(np.exp(1j * apart))) < 0.2 * WIDE * here.deviation
+    apart = WIDE * (there.value - here.value) - np.radians(degrees)
+    assert abs(np.angle(np.exp(1j * apart))) < 0.2 * WIDE * here.left
     values = [fit.problem.unknowns(fit.weights)[0][0, 0].numpy() for fit in fits]
     assert np.abs((values[1] - values[0]) / spread(fits[0])).max() < 0.1  # the angle's own prior pulls a little
 

@@ -54,8 +54,8 @@ def test_factors_of_records_are_eliminated_and_those_of_labels_are_told() -> Non
     assert quality.misfit == pytest.approx(1.0, abs=0.15)
     truth = [0.0, np.log(1.1), 0.0, 0.1]
     for number, true in zip(answer.parameters, truth, strict=True):
-        assert abs(0.2 * number.parameter.value - true) < 3.5 * 0.2 * number.deviation, number.parameter.name
-        assert number.deviation < 0.5
+        assert abs(0.2 * number.value - true) < 3.5 * 0.2 * number.left, number.name
+        assert number.left < 0.5
     direct = fit.identified.table(bearings).values[..., [0, 3]]
     assert direct == pytest.approx(bearings.values[..., [0, 3]], rel=0.05)
 

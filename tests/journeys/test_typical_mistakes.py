@@ -28,7 +28,7 @@ from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.trust.mistakes import find_mistakes
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 pytestmark = pytest.mark.slow  # half a second to two seconds each
 
@@ -64,7 +64,7 @@ def truth() -> Measurement:
     bearings = BearingTable(NODES, speeds, values)
     complete = simulate(rotor(), bearings, WEIGHTS)
     probes = measure(complete, Sensors(PROBES, NOISE.additive, NOISE.multiplicative), np.random.default_rng(4))
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(UNKNOWNS)))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(UNKNOWNS)))
     return Measurement(rotor(), probes, bearings, NOISE, unknowns, Guess(1e7, 5e3))
 
 

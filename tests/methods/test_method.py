@@ -36,9 +36,9 @@ def test_each_condition_is_answered_by_itself(method: str) -> None:
     assert not np.array_equal(alone[0].coefficients.values, alone[1].coefficients.values)
     joined = np.concatenate([of.coefficients.values for of in alone], axis=1)
     np.testing.assert_array_equal(both.coefficients.values, joined)
-    stated = [of.deviation for of in alone]
-    assert both.deviation is not None
-    np.testing.assert_array_equal(both.deviation, np.concatenate(stated, axis=1))
+    stated = [of.coefficients.deviation for of in alone]
+    assert both.coefficients.deviation is not None
+    np.testing.assert_array_equal(both.coefficients.deviation, np.concatenate(stated, axis=1))
     assert "each of 2 conditions" in both.words
 
 

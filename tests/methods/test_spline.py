@@ -32,7 +32,7 @@ def test_the_spline_is_as_good_as_the_output_error_with_b_splines() -> None:
         data = task(case, *FILM)
         ours.append(errors(identify_by_spline(data, options(*FILM)), case, *FILM).mean())
         found = fit(data, setup_of(*FILM, *few)).table(data.known)
-        theirs.append(errors(Estimate(found, None), case, *FILM).mean())
+        theirs.append(errors(Estimate(found), case, *FILM).mean())
     assert 3 / 4 < np.mean(ours) / np.mean(theirs) < 4 / 3
 
 

@@ -283,7 +283,7 @@ def test_simulated_readings_without_noise_are_no_trap(measurement: tuple[Any, An
     values, deviation = identified.table(felt).values, identified.deviation(felt.speeds)
     assert np.mean(np.abs(values - felt.values) < 1.96 * deviation) > 0.95
     assert np.median(np.abs(values / felt.values - 1)) < 0.02
-    assert max(abs(number.parameter.value) for number in identified.parameters) < 1.0
+    assert max(abs(parameter.value) for parameter in identified.parameters) < 1.0
 
 
 def test_noise_that_wanders_is_taken_away_and_found(at_nodes: OutputErrorFit, rng: np.random.Generator) -> None:

@@ -22,7 +22,7 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.ross_adapter import ross
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 RS = ross()
 SPEEDS, NODES, MASSES = np.linspace(100.0, 700.0, 24), (1, 4, 7), (9.0, 0.6, -0.5, 8.0)
@@ -69,7 +69,7 @@ def test_added_mass_is_exact_without_noise_and_within_its_band_with_some(tmp_pat
     build((0.0,) * 4).save(str(tmp_path / "rotor.toml"))
     config = RotorConfig(file=str(tmp_path / "rotor.toml"))
     rotor, parts = load_rotor(config), generator.standard_normal((2, *exact.shape)) / np.sqrt(2)
-    unknowns = unknown_set(dict.fromkeys(rotor.bearing_nodes, BearingUnknowns(COEFFICIENTS)))
+    unknowns = unknown_set(dict.fromkeys(rotor.bearing_nodes, tie(COEFFICIENTS)))
     known = BearingTable(NODES, SPEEDS, np.zeros((3, len(SPEEDS), 8)))
     channels, runs = tuple((node, angle) for node in NODES for angle in (0.0, 90.0)), ("a", "b", "c")
     setup = setup_of(compose_config(["experiment=noisy_all", "model=constant", "tracking=none"]))
@@ -82,12 +82,12 @@ def test_added_mass_is_exact_without_noise_and_within_its_band_with_some(tmp_pat
         )
         answer = fit(measured, setup)
         for number, real in zip(answer.parameters, MASSES, strict=True):
-            assert abs(number.parameter.shift - real) < within * MASSES[0]
-            assert abs(number.parameter.shift - real) < max(4 * 20.0 * number.deviation, 1e-7)
+            assert abs(number.shift - real) < within * MASSES[0]
+            assert abs(number.shift - real) < max(4 * 20.0 * number.left, 1e-7)
         if not drawn:
             table = answer.model.table(known)
             np.testing.assert_allclose(table.values[:, 0], FILMS, rtol=1e-8)
-            made = export_rotor(config, [number.parameter for number in answer.parameters], table)
+            made = export_rotor(config, answer.parameters, table)
             np.testing.assert_allclose(respond(made), exact, rtol=1e-7, atol=1e-7 * np.abs(exact).max())
     with refused("no bearing at identify.seal_nodes whose stiffness is identified", kind=ConfigError):
         model_parameters({"added_mass": 20.0}, rotor, data, known, unknowns, seal_nodes=(3,))

@@ -29,7 +29,7 @@ from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor
 from pipeline.twin.modes import find_modes
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 NODES, SPEEDS = (1, 6), np.linspace(40.0, 500.0, 40)
 FILMS = ((2e7, 3e6, -4e6, 1.5e7, 2e4, 1e3, 2e3, 1.5e4), (1e7, 1e6, -2e6, 2.5e7, 1e4, 1e3, 1e3, 0.5e4))
@@ -84,7 +84,7 @@ def measured(planes: tuple[int, ...] = ()) -> Measurement:
     data = project(
         simulate(load_rotor(config()), films(), WEIGHTS), tuple((n, a) for n in nodes for a in DIRECTIONS.values())
     )
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(("kxx", "kyy", "cxx", "cyy"))), planes=planes)
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(("kxx", "kyy", "cxx", "cyy"))), planes=planes)
     known = films()
     parameters = model_parameters(DEVIATIONS, stated(), data, known, unknowns)
     return Measurement(stated(), data, known, NoiseModel(1e-13, 1e-8), unknowns, Guess(1e7, 1e4), parameters=parameters)
@@ -152,7 +152,7 @@ def test_a_fit_of_exact_readings_gives_base_and_bearings_back(planes: tuple[int,
     """
     measurement, truth = measured(planes), load_rotor(config())
     found = fit(measurement, default_setup(Guess(1e7, 1e4), constant=True))
-    updated = measurement.update(np.array([p.parameter.value for p in found.parameters])).updated_rotor
+    updated = measurement.update(np.array([p.value for p in found.parameters])).updated_rotor
     for name in ("stiffness", "damping"):
         numbers, true = (np.diagonal(getattr(r, name))[[36, 37, 40]] for r in (updated, truth))
         assert numbers == pytest.approx(true, rel=1e-8)
@@ -166,7 +166,7 @@ def test_a_base_that_softens_is_the_dense_one_of_its_force() -> None:
     """
     rotor, w, fall = load_rotor(config()), float(SPEEDS[17]), 0.08
     data = simulate(rotor, films(), WEIGHTS[:1])
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(("kxx",))))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(("kxx",))))
     parameters = model_parameters(DEVIATIONS | {"base_softening": fall}, rotor, data, films(), unknowns)
     made = Measurement(rotor, data, films(), NoiseModel(1e-9, 0.0), unknowns, Guess(1e7, 1e4), parameters=parameters)
     names = [parameter.name for parameter in parameters]

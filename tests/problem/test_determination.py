@@ -14,10 +14,10 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.problem.determination import (
     WEAKLY_BELOW,
     WELL_BELOW,
-    Determination,
     Determined,
-    Deviations,
+    Verdict,
     describe_determined,
+    judge_determined,
     read_determined,
     summarize_determined,
 )
@@ -29,15 +29,15 @@ from pipeline.write_numbers import write_where
 @pytest.mark.parametrize(
     ("deviation", "verdict"),
     [
-        (0.99 * WELL_BELOW, Determination.WELL),
-        (WELL_BELOW, Determination.WEAKLY),
-        (0.99 * WEAKLY_BELOW, Determination.WEAKLY),
-        (WEAKLY_BELOW, Determination.NOT),
-        (np.inf, Determination.NOT),
-        (np.nan, Determination.NOT),
+        (0.99 * WELL_BELOW, Verdict.GOOD),
+        (WELL_BELOW, Verdict.WITH_CARE),
+        (0.99 * WEAKLY_BELOW, Verdict.WITH_CARE),
+        (WEAKLY_BELOW, Verdict.NO),
+        (np.inf, Verdict.NO),
+        (np.nan, Verdict.NO),
     ],
 )
-def test_the_limits(deviation: float, verdict: Determination) -> None:
+def test_the_limits(deviation: float, verdict: Verdict) -> None:
     assert Determined(1, "kxx", deviation).verdict is verdict
 
 
@@ -48,9 +48,9 @@ def judged() -> tuple[Determined, ...]:
     deviation = np.full((1, 4, 8), np.nan)
     deviation[0, :, COEFFICIENTS.index("kxx")] = 0.02
     deviation[0, :, COEFFICIENTS.index("kyy")] = np.inf
-    return Deviations(
-        BearingTable((3,), np.arange(10.0, 50.0, 10.0) * RAD_S_PER_RPM, values), deviation, "a test"
-    ).judge()
+    return judge_determined(
+        BearingTable((3,), np.arange(10.0, 50.0, 10.0) * RAD_S_PER_RPM, values, deviation=deviation)
+    )
 
 
 def test_a_median_over_the_speeds_and_where_it_does_not_hold() -> None:

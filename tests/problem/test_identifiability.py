@@ -33,7 +33,7 @@ from pipeline.problem.residual import (
     per_speed_least_squares,
 )
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.unknowns import BearingUnknowns, UnknownSet, unknown_set
+from pipeline.unknowns import UnknownSet, tie, unknown_set
 
 EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
 FEW = ("machine.speeds.start_rpm=500", "machine.speeds.step_rpm=250")
@@ -54,7 +54,7 @@ def rotor_of(machine: MachineFactory) -> Machine:
 
 def everything(nodes: tuple[int, ...]) -> UnknownSet:
     """All eight coefficients of every bearing."""
-    return unknown_set(dict.fromkeys(nodes, BearingUnknowns(COEFFICIENTS)))
+    return unknown_set(dict.fromkeys(nodes, tie(COEFFICIENTS)))
 
 
 def table_of(machine: Machine, *bearings: dict[str, float]) -> BearingTable:
@@ -240,7 +240,7 @@ def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
 
 def test_a_structure_needs_both_of_a_pair() -> None:
     with pytest.raises(ValueError, match="ties cxy and cyx: both must be unknown or neither"):
-        BearingUnknowns(("kxx", "cxy"), "symmetric_damping")
+        tie(("kxx", "cxy"), "symmetric_damping")
 
 
 def prepared_with(machine: Machine, *overrides: str) -> ResidualTraining:

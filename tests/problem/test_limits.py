@@ -12,7 +12,7 @@ from benchmarks.ross_oracle import ross_rotor
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.problem.residual import bearing_equations, linear_residual, per_speed_least_squares
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 
 @pytest.mark.slow
@@ -33,7 +33,7 @@ def test_single_precision_is_not_enough(experiment: str, median: float, high: fl
     """Displacements rounded to it: median and 95th percentile over speed of least squares, the worst coefficient."""
     made = machine(f"experiment={experiment}")
     displacement = made.dataset.displacement.astype(np.complex64).astype(complex)
-    unknowns = unknown_set(dict.fromkeys(made.rotor.bearing_nodes, BearingUnknowns(COEFFICIENTS)))
+    unknowns = unknown_set(dict.fromkeys(made.rotor.bearing_nodes, tie(COEFFICIENTS)))
     equations = bearing_equations(made.rotor, replace(made.dataset, displacement=displacement))
     found = per_speed_least_squares(linear_residual(equations, unknowns, made.bearings))
     off = 100 * np.abs(found / made.bearings.values - 1)

@@ -24,7 +24,7 @@ from pipeline.problem.response import derive_by_parameters, impedance_change, re
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 MATERIAL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
 DEVIATIONS = {
@@ -73,7 +73,7 @@ def measurement() -> Measurement:
     channels = tuple((node, angle) for node in model.bearing_nodes for angle in (45.0, 135.0))
     weights = (Excitation("a", "unbalance", 3, 5e-4, 0.3), Excitation("b", "unbalance", 8, 3e-4, 1.0))
     data = VibrationDataset(speeds, ("a", "b"), channels, np.ones((len(speeds), 4, 2), complex) * 1e-5, weights)
-    unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, BearingUnknowns(("kxx", "kyy"))), planes=(3,))
+    unknowns = unknown_set(dict.fromkeys(model.bearing_nodes, tie(("kxx", "kyy"))), planes=(3,))
     made = Measurement(model, data, known, NoiseModel(1e-7, 0.0), unknowns, Guess(1e7, 1e4))
     parameters = model_parameters(DEVIATIONS, model, data, known, unknowns, coupling_node=0, seal_nodes=(1,))
     return replace(made, parameters=parameters).update(0.3 * np.cos(np.arange(len(parameters))))
@@ -204,7 +204,7 @@ def test_the_updated_rotor_is_the_one_that_ross_makes(kind: str, other: dict[str
 def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: Measurement) -> None:
     """No disc, no weight, nothing known."""
     bare = replace(measurement.rotor, disc_nodes=())
-    unknowns = unknown_set(dict.fromkeys(bare.bearing_nodes, BearingUnknowns(COEFFICIENTS)))
+    unknowns = unknown_set(dict.fromkeys(bare.bearing_nodes, tie(COEFFICIENTS)))
     data = replace(measurement.dataset, excitations=(Excitation("a", "force", 3, 1.0, 0.0),))
     with pytest.raises(ConfigError, match=f"{kind} must belong to something that the machine has"):
         model_parameters({kind: 0.1}, bare, data, measurement.known, unknowns)

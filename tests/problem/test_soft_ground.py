@@ -25,7 +25,7 @@ from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_start import prepare_output_error
 from pipeline.identification.readings import sensor_model
 from pipeline.parameters.model import model_parameters
-from pipeline.problem.determination import Determination
+from pipeline.problem.determination import Verdict, judge_determined, relative_deviation
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.problem.slopes import ReadingSlopes
 from pipeline.reporting.diagnosis import describe_series
@@ -35,7 +35,7 @@ from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor, place_probe
 from pipeline.trust.judgement import describe_supports
 from pipeline.twin.modes import find_modes
-from pipeline.unknowns import BearingUnknowns, unknown_set
+from pipeline.unknowns import tie, unknown_set
 
 NODES, SPEEDS = (1, 6), np.linspace(100.0, 700.0, 30)
 FILMS = {
@@ -91,7 +91,7 @@ def measured(
     data, stated = readings(load_rotor(config()), measures), load_rotor(config(off=True))
     if noise:
         data = add_noise(data, noise.deviation(data.displacement), np.random.default_rng(seed))
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(COEFFICIENTS)))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(COEFFICIENTS)))
     known = BearingTable(NODES, SPEEDS, np.zeros((2, len(SPEEDS), 8)))
     parameters = model_parameters(dict.fromkeys(KINDS, 1.0), stated, data, known, unknowns)
     guess = Guess(1e7, 1e4, within=30.0)
@@ -101,7 +101,7 @@ def measured(
 
 def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shares by which films (B, 8) and supports (T,) are off, and the deviations (T,) of the latter."""
-    numbers = {p.parameter: p.number for p in answer.parameters}
+    numbers = {p: p.number for p in answer.parameters}
     true = np.array([SUPPORTS[NODES[p.place - 9]][KINDS[p.kind] + 2 * p.detail] for p in numbers])
     shares = np.array([[n["number"], n["number_deviation"]] for n in numbers.values()]) / true[:, None]
     return answer.table(films()).values[:, 0] / np.array([*FILMS.values()]) - 1, shares[:, 0] - 1, shares[:, 1]
@@ -257,7 +257,7 @@ def seen_in_x(turning: float, guess: Guess) -> tuple[Measurement, BearingTable]:
     rotor = replace(rotor, gyroscopic=turning * rotor.gyroscopic)
     real, nothing = (replace(films(), values=films().values * kept) for kept in (np.isin(COEFFICIENTS, names), 0.0))
     data, noise = project(simulate(rotor, real, WEIGHTS), ((1, 0.0), (6, 0.0))), NoiseModel(5e-8, 0.01)
-    unknowns = unknown_set(dict.fromkeys(NODES, BearingUnknowns(names)))
+    unknowns = unknown_set(dict.fromkeys(NODES, tie(names)))
     return Measurement(rotor, data, nothing, noise, unknowns, guess), real
 
 
@@ -266,8 +266,8 @@ def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions()
     made, _ = seen_in_x(0.0, Guess(1e7, 1e4))
     setup = default_setup(made.guess, constant=True)
     diagnosis = loss_of(setup.loss).diagnose(made, setup)
-    for deviations in (diagnosis.deviations, loss_of(setup.loss).expect(made, setup, diagnosis)):
-        found = {(each.node, each.name): each.verdict is Determination.NOT for each in deviations.judge()}
+    for expected in (diagnosis.expected, loss_of(setup.loss).expect(made, setup, diagnosis)):
+        found = {(each.node, each.name): each.verdict is Verdict.NO for each in judge_determined(expected)}
         assert found == {(node, name): "y" in name for node in NODES for name in ("kxx", "kyy", "cxx", "cyy")}
 
 
@@ -277,7 +277,7 @@ def test_a_probe_in_x_tells_of_y_what_the_true_bearings_would_let_it_tell() -> N
     made, real = seen_in_x(0.3, Guess(1e6, 1e3))
     setup = default_setup(made.guess, constant=True)
     loss = loss_of(setup.loss)
-    foretold = loss.expect(made, setup, loss.diagnose(made, setup)).relative
+    foretold = relative_deviation(loss.expect(made, setup, loss.diagnose(made, setup)))
     problem = prepare_output_error(made, setup).problem
     leading = made.unknowns.leading(real.values)
     true = problem.unknown_deviation(start_at(problem, leading))[0] / made.unknowns.to_active(leading)

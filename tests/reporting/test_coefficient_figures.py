@@ -46,8 +46,8 @@ def table() -> Any:
 
 @pytest.mark.slow
 def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path: Path) -> None:
-    bearings = table()
-    draw_coefficients(tmp_path / "a.png", Coefficients.collect(bearings, None, NAMES, 0.1 * np.abs(bearings.values)))
+    bearings = replace(table(), deviation=0.1 * np.abs(table().values))
+    draw_coefficients(tmp_path / "a.png", Coefficients(bearings, None, NAMES))
     lines = lines_of(drawn[0])
     assert len(lines) == 5 * len(CELSIUS)
     for line in lines:
@@ -59,13 +59,13 @@ def test_each_state_has_a_line_of_ascending_speed(drawn: list[Figure], tmp_path:
 def test_one_letter_has_the_errors_below(drawn: list[Figure], tmp_path: Path) -> None:
     bearings = table()
     modelled = replace(bearings, values=1.02 * bearings.values)
-    draw_coefficients(tmp_path / "k.png", Coefficients.collect(bearings, modelled, NAMES, None), "k")
+    draw_coefficients(tmp_path / "k.png", Coefficients(bearings, modelled, NAMES), "k")
     assert [len(panel.axes) for panel in drawn[0].panels] == [2, 2, 2]  # three stiffnesses, and their errors
     errors = lines_of(drawn[0], 1)
     assert len(errors) == 3 * len(CELSIUS)
     for line in errors:
         np.testing.assert_allclose(line.y, 100 * (1 - 1 / 1.02))
-    draw_coefficients(tmp_path / "c.png", Coefficients.collect(bearings, modelled, [["kxx"], ["kyy"]], None), "c")
+    draw_coefficients(tmp_path / "c.png", Coefficients(bearings, modelled, [["kxx"], ["kyy"]]), "c")
     titles = [panel.title for panel in drawn[1].panels]
     assert titles == [f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")]
 
@@ -75,7 +75,7 @@ def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: sli
     bearings = table()
     deviation = 0.1 * np.abs(bearings.values)
     deviation[0, lost, 0] *= 4  # kxx is zero to within 2.5 deviations
-    shown = Coefficients.collect(bearings, None, NAMES, deviation)
+    shown = Coefficients(replace(bearings, deviation=deviation), None, NAMES)
     band, _, drawn, _ = shown.draw(0, "kxx", "kxx identified", ("blue", "o"), 1.0, 99)
     assert np.isfinite(band.deviation).all()
     np.testing.assert_array_equal(drawn.x[np.isfinite(drawn.y)], np.delete(shown.rpm, lost))

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from pipeline.evaluation.errors import find_contradiction
+from pipeline.problem.determination import Verdict
 from pipeline.reporting.fit_tables import describe_law, list_numbers, tabulate_numbers
-from pipeline.trust.verdict import Verdict, judge_contradiction
+from pipeline.trust.verdict import judge_contradiction
 
 OIL = SimpleNamespace(reference=55 + 273.15)
 CONFIG: Any = SimpleNamespace(machine=SimpleNamespace(laws=SimpleNamespace(oil=OIL)))

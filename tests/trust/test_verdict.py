@@ -11,7 +11,7 @@ import pytest
 from conftest import assert_says
 
 from pipeline.coefficients import COEFFICIENTS
-from pipeline.problem.determination import Deviations
+from pipeline.problem.determination import judge_determined
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.trust.evidence import Evidence, Growth, find_growth
 from pipeline.trust.judgement import judge
@@ -34,7 +34,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
     spread = np.tile(list((CERTAIN | (deviation or {})).values()), (1, 5, 1))
     fit = changed.pop("fit", FIT)
     given: dict[str, Any] = {
-        "deviations": Deviations(BearingTable((3,), np.arange(1.0, 6.0), values), spread, "by this fit"),
+        "answer": BearingTable((3,), np.arange(1.0, 6.0), values, deviation=spread),
         "by_fit": spread,
         "tolerances": {},
         "moves": {},
@@ -71,9 +71,9 @@ def test_verdict_and_determination_are_one_scale() -> None:
     for share in (0.01, 0.049, 0.051, 0.08, 0.29, 0.31, 2.0):
         evidence = gathered({"kxx": share * 1e8})
         judged = of(record(evidence), "kxx")["verdict"]
-        (determined,) = [each for each in evidence.deviations.judge() if each.name == "kxx"]
+        (determined,) = [each for each in judge_determined(evidence.answer) if each.name == "kxx"]
         words = {"good": "well determined", "with care": "weakly determined", "no": "not determined"}
-        assert determined.verdict.value == words[judged]
+        assert determined.verdict.determined == words[judged]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from pipeline.reporting.blocks import (
     GREY,
     MICROMETRES,
     MICROMETRES_PEAK_TO_PEAK,
-    Axes,
     Block,
     Curve,
     Figure,
@@ -135,9 +134,11 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     if len(panel.axes) > 1:
         layout["xaxis"]["anchor"] = f"y{len(panel.axes)}"
     if panel.equal:
-        size = _reach(panel.axes[0]) * (MICROMETRES if panel.axes[0].quantity else 1.0)
-        for letter, (low, high) in zip("xy", size, strict=True):
-            layout[f"{letter}axis"] |= {"range": [low, high]}
+        curves, scale = panel.axes[0].curves, MICROMETRES if panel.axes[0].quantity else 1.0
+        every = np.array([[f(np.concatenate([getattr(c, k) for c in curves])) for f in (np.min, np.max)] for k in "xy"])
+        half = 0.55 * max(float(np.ptp(every, axis=1).max()), 1e-12)  # of x and y alike, around all curves
+        for letter, middle in zip("xy", every.mean(axis=1), strict=True):
+            layout[f"{letter}axis"] |= {"range": [(middle - half) * scale, (middle + half) * scale]}
     if panel.bare:
         layout["yaxis"] |= {"visible": False}
     return traces, layout
@@ -158,13 +159,6 @@ def _share(count: int) -> list[list[float]]:
     edges = [[0.04 + lower * i, lower * (i + 1)] for i in range(count - 1)][::-1]
     edges[-1][0] = 0.0
     return [[edges[0][1] + 0.06, 1.0], *edges]
-
-
-def _reach(axes: Axes) -> np.ndarray:
-    """(2, 2) from and to of x and y, equally long, around all curves."""
-    ends = np.array([[f(np.concatenate([getattr(c, k) for c in axes.curves])) for f in (np.min, np.max)] for k in "xy"])
-    half = 0.55 * max(float(np.ptp(ends, axis=1).max()), 1e-12)
-    return np.asarray(ends.mean(axis=1)[:, None] + half * np.array([-1.0, 1.0]))
 
 
 def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[dict[str, Any]]:

@@ -131,7 +131,7 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
     rows = []
     for b, name, c in places:
         scale, unit = UNITS[name[0]]
-        values, deviations = scale * shown.identified.values[b, at, c], scale * shown.deviation[b, at, c]
+        values, deviations = (scale * table[b, at, c] for table in (shown.identified.values, shown.identified.spread))
         lost = [" *" * bool(each) for each in shown.lost[b, at, c]]
         cells = [
             write_number(float(value), float(spread), 5) + star
@@ -158,7 +158,7 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
                 continue
             c, speeds, given = COEFFICIENTS.index(name), reference["speed_rpm"][inside], reference[name][inside]
             off = np.interp(speeds, rpm, shown.identified.values[b, :, c]) - given
-            deviation = np.interp(speeds, rpm, shown.deviation[b, :, c])
+            deviation = np.interp(speeds, rpm, shown.identified.spread[b, :, c])
             with np.errstate(divide="ignore", invalid="ignore"):
                 medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
             off_by, over = (write_number(median, digits=3) for median in medians)

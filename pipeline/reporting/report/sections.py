@@ -61,7 +61,9 @@ def describe_answer(content: ReportContent, fit: FitContent) -> list[Block]:
         told = [name for name in names if not several or name[1] == name[2]] or names
         for name in told:
             (scale, unit), place = UNITS[name[0]], (b, at, COEFFICIENTS.index(name))
-            number = write_number(scale * float(shown.identified.values[place]), scale * float(shown.deviation[place]))
+            number = write_number(
+                scale * float(shown.identified.values[place]), scale * float(shown.identified.spread[place])
+            )
             said = " (not determined)" if shown.lost[place] else f" {number} {unit}"
             values.append(f"{f'at node {node} ' * (name == told[0])}{name}{said}")
     known = ", with one standard deviation" if shown.stated else ""
@@ -159,9 +161,16 @@ def describe_numbers(content: ReportContent, fit: FitContent) -> list[Block]:
 
 
 def describe_diagnosis(content: ReportContent) -> list[Block]:
-    """What the data determine before any fit: rank, condition, deviations."""
+    """What the data determine before any fit: rank, condition, deviations; and what the fit found otherwise."""
     diagnosis = content.files["diagnosis"]
     noise, expected = content.config.describe_noise(), diagnosis["determined"]
+    after = content.fit.training["determined"]["coefficients"] if content.fit else {}
+    other = [
+        f"{entry.name} at node {entry.node} is {entry.verdict.determined} (expected: {before})"
+        for entry in read_determined(after)
+        if (before := expected["coefficients"].get(str(entry.node), {}).get(entry.name, {}).get("verdict", ""))
+        != entry.verdict.determined
+    ]
     return [
         (
             f"Before the fit, at each speed by itself, at {noise} (root mean square, zero-to-peak). A fit over all "
@@ -177,22 +186,12 @@ def describe_diagnosis(content: ReportContent) -> list[Block]:
             f"Expected standard deviation, {expected['by']} (median over the speed)",
             read_determined(expected["coefficients"]),
         ),
-        *_compare_determined(content, expected["coefficients"]),
+        *[
+            "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
+            f"{'; '.join(other)}. What was found counts."
+        ]
+        * bool(other),
     ]
-
-
-def _compare_determined(content: ReportContent, expected: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What the fit found otherwise than it was expected; nothing where there is no fit, or nothing of the kind."""
-    after = content.fit.training["determined"]["coefficients"] if content.fit else {}
-    other = [
-        f"{entry.name} at node {entry.node} is {entry.verdict.value} (expected: {before})"
-        for entry in read_determined(after)
-        if (before := expected.get(str(entry.node), {}).get(entry.name, {}).get("verdict", "")) != entry.verdict.value
-    ]
-    return [
-        "The table was made before the fit, at the coefficients that the fit starts from. At those that it found, "
-        f"{'; '.join(other)}. What was found counts."
-    ] * bool(other)
 
 
 def describe_balancing(content: ReportContent, fit: FitContent) -> str | Table:

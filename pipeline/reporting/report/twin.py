@@ -48,7 +48,7 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
     """
     running, behaviour = content.config.machine.prediction.speed_rpm, twin.behaviour["identified"]
     speeds, identified = behaviour.modes.speeds, cast("Mapping[str, Any]", summarize_modes(behaviour, running))
-    stability = identified["stability"]
+    stability, critical = identified["stability"], identified["critical_speeds"]
     largest, known = stability["largest_growth"], stability.get("largest_growth_std") or 0.0
     growth = write_number(largest, known if known > rounding else None, 3)
     text = (
@@ -71,28 +71,24 @@ def describe_modes(content: ReportContent, fit: FitContent, twin: Twin, rounding
             )
             for text in fit.beyond
         ),
-        _list_critical_speeds(speeds, identified["critical_speeds"]),
-        *([_list_natural(identified["modes"])] if "modes" in identified else ()),
+        f"No damped natural frequency equals the rotor speed from {write_range(speeds)}."
+        if not critical
+        else Table(
+            "Damped critical speeds",
+            ["critical speed", *CRITICAL],
+            [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)],
+        ),
+        *(
+            Table(
+                "Damped natural frequencies at this speed",
+                ["mode", *NATURAL],
+                [[n, show(m, "hz"), show(m, "logarithmic_decrement"), describe_measured(m)] for n, m in modes.items()],
+            )
+            for modes in (identified.get("modes"),)
+            if modes is not None
+        ),
         *([draw_modes(twin.behaviour, fit.state.removeprefix(" at "))] if len(speeds) > 1 else ()),
     ]
-
-
-def _list_natural(modes: Mapping[str, Any]) -> Table:
-    return Table(
-        "Damped natural frequencies at this speed",
-        ["mode", *NATURAL],
-        [[n, show(m, "hz"), show(m, "logarithmic_decrement"), describe_measured(m)] for n, m in modes.items()],
-    )
-
-
-def _list_critical_speeds(speeds: np.ndarray, critical: Mapping[str, Any]) -> Table | str:
-    if not critical:
-        return f"No damped natural frequency equals the rotor speed from {write_range(speeds)}."
-    return Table(
-        "Damped critical speeds",
-        ["critical speed", *CRITICAL],
-        [[number, *cells] for number, cells in zip(critical, list_critical(critical), strict=True)],
-    )
 
 
 def describe_response(content: ReportContent, fit: FitContent) -> list[Block]:
