@@ -101,7 +101,7 @@ def _check_name(value: Any, info: ValidationInfo) -> str:
 
 
 Unit = Annotated[str, BeforeValidator(_check_name)]
-"""Of what its key says: a length, velocity, acceleration or voltage, or any of these (``signal_unit``)."""
+"""A unit of what its key says: length, velocity, acceleration or voltage, or any of these (``signal_unit``)."""
 Floor = Annotated[str, BeforeValidator(lambda value: find_floor(value) and value)]
 """Noise that is constant in what a probe measures."""
 Sensitivity = Annotated[str, BeforeValidator(_check_scale)]

@@ -313,20 +313,14 @@ class OutputError(LeastSquares):
         """
         import torch
 
-        member, kept, sizes = (
-            torch.tensor([m for m, _ in self.active]),
-            self.kept.flatten(),
-            [self.features.shape[-1]] * 2,
-        )
-        lines = []
-        for m in range(len(self.features)):
+        member, kept = torch.tensor([m for m, _ in self.active]), self.kept.flatten()
+        sizes, lines = [self.features.shape[-1]] * 2, []
+        for m in range(len(self.features)):  # the active unknowns follow each other member by member
             line = []
             for n in range(len(self.features)):
                 pairs = self.features[m, -later.shape[1] :, :, None] * self.features[n, : before.shape[1], None]
-                # A product of matrices: an einsum of these would take twice as long.
-                products = local[:, :, member == m][..., member == n].movedim(1, -1) @ pairs.flatten(
-                    1
-                )  # (G, a, b, K K)
+                between = local[:, :, member == m][..., member == n].movedim(1, -1)  # (G, a, b, S)
+                products = between @ pairs.flatten(1)  # (G, a, b, K K): an einsum would take twice as long
                 line.append(products.unflatten(-1, sizes).transpose(2, 3).flatten(3))
             lines.append(torch.cat(line, dim=3).flatten(1, 2))
         return torch.cat(lines, dim=1) * (kept[:, None] & kept)

@@ -110,9 +110,9 @@ class Uncertainty:
             deviation = np.where(positive[:, None] > 0, values * np.expm1(NOMINAL_95 * share) / NOMINAL_95, deviation)
         return np.where(unknowns.identified[:, None], deviation, np.nan)
 
-    def state(self, table: BearingTable, covariance: np.ndarray | None = None) -> BearingTable:
+    def state(self, table: BearingTable) -> BearingTable:
         """The ``table`` with the :meth:`deviation` of each of its coefficients."""
-        return replace(table, deviation=self.deviation(table.speeds, table.operating, covariance))
+        return replace(table, deviation=self.deviation(table.speeds, table.operating))
 
     def _by_draws(self, points: Mapping[str, np.ndarray], covariance: np.ndarray, count: int = 512) -> np.ndarray:
         """(B, S, 8) deviations whose nominal 95 % interval about the answer holds that of drawn coordinates.

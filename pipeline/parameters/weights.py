@@ -70,7 +70,7 @@ def force_changes(
     return [assemble_forces(rotor, tuple(change), runs, frequencies) if change else None for change in changes]
 
 
-_Acting = Sequence[tuple[int, "ModelParameter"]]
+_Acting = Sequence[tuple[int, ModelParameter]]
 
 
 def _list_acting(excitations: Sequence[Excitation], parameters: Sequence[ModelParameter]) -> list[_Acting]:

@@ -58,6 +58,5 @@ class BearingTable:
     def at(self, keep: np.ndarray) -> BearingTable:
         """The same at the points that the mask or index ``keep`` selects."""
         operating = {name: values[keep] for name, values in self.operating.items()}
-        spread = None if self.deviation is None else self.deviation[:, keep]
-        part = replace(self, speeds=self.speeds[keep], values=self.values[:, keep], operating=operating)
-        return replace(part, deviation=spread)
+        spread, speeds = None if self.deviation is None else self.deviation[:, keep], self.speeds[keep]
+        return replace(self, speeds=speeds, values=self.values[:, keep], operating=operating, deviation=spread)
