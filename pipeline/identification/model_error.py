@@ -95,7 +95,7 @@ def measure_error(problem: OutputError, weights: torch.Tensor) -> MeanSquareErro
     information, score = information * np.outer(told, told), score * told
     # tau is a deviation of outputs, the logarithm of a coefficient or its share of the coefficient's size.
     evidence = Evidence(information, score, np.ones((n_active, count)), np.eye(n_active), np.full(n_active, 0.03))
-    tau = evidence.maximise(rounds=100, still=5e-3, smallest=1e-6)
+    tau = evidence.maximise(rounds=100, still=5e-4, smallest=1e-6)
     if problem.law.laws and evidence.is_chance(tau, n_active):  # a right law's; curves never are quite right
         return noise_alone(problem, covariance)
     mean, root = evidence.posterior(tau)

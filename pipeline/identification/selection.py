@@ -220,6 +220,7 @@ class Evidence(NamedTuple):
         readings tell nothing of a coefficient, the ratio of two roundings is no size.
         """
         sigma, unit = self.sigma, self.unit
+        pace, before = np.ones_like(sigma), np.zeros_like(sigma)
         for _ in range(rounds):
             mean, root = self.posterior(sigma)
             # How many of an unknown's weights the readings determine.
@@ -227,9 +228,12 @@ class Evidence(NamedTuple):
             squares = (mean[: unit.size] ** 2 * unit.ravel()).reshape(unit.shape).sum(axis=1)
             told = told.reshape(unit.shape).sum(axis=1)
             likelier = np.sqrt(self.alike @ squares / np.maximum(self.alike @ told, tiny))
-            before, sigma = sigma, np.clip(likelier, smallest, largest)
-            if (np.abs(np.log(sigma / before)) < still).all():
+            step = np.log(np.clip(likelier, smallest, largest) / sigma)
+            if (np.abs(step) < still).all():
                 break
+            # A size that vanishes loses the same share each round: steps that go on the same way double.
+            pace = np.where(step * before > 0, 2 * pace, 1.0)
+            sigma, before = np.clip(sigma * np.exp(pace * step), smallest, largest), step
         return sigma
 
     def is_chance(self, sigma: np.ndarray, count: int) -> bool:

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from running import composed
+from scipy.stats import multivariate_normal
 from small_rotor import fitted_beside_truth
 
 from pipeline.identification.model_error import count_local, evaluate_local
 from pipeline.identification.output_error_fit import OutputErrorFit
+from pipeline.identification.selection import Evidence
 
 NOISE = ["stated_noise.additive=0.05 um", "stated_noise.multiplicative=0.005"]
 DIRECT = "identify.unknowns=[kxx,kyy,cxx,cyy]"
@@ -35,6 +37,25 @@ def held(fit: OutputErrorFit, truth: np.ndarray, matrix: np.ndarray, n_local: in
         spread = np.sqrt(np.einsum("sk,kl,sl->s", functions, matrix[own, own], functions))
         inside.append(np.abs(values[:, a] - truth[:, a]) <= 1.96 * spread * np.abs(slope[:, a, a]))
     return float(np.mean(inside))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_size_of_what_is_not_followed_is_the_likeliest(seed: int) -> None:
+    """Against the likelihood of the data themselves, by the density of SciPy, at sizes about the answer."""
+    rng, true, smallest = np.random.default_rng(seed), np.array([0.0, 0.3, 2.0]), 1e-6
+    rows = rng.standard_normal((80, 30)) / 3
+    data = rows @ (np.repeat(true, 10) * rng.standard_normal(30)) + rng.standard_normal(80)
+    evidence = Evidence(rows.T @ rows, rows.T @ data, np.ones((3, 10)), np.eye(3), np.full(3, 0.03))
+    sigma = evidence.maximise(still=1e-4, smallest=smallest)
+
+    def likelihood(sizes: np.ndarray) -> float:
+        spread = np.eye(80) + rows * np.repeat(sizes**2, 10) @ rows.T
+        return float(multivariate_normal(cov=spread).logpdf(data))
+
+    vanished = sigma == smallest
+    for move in np.eye(3):
+        assert likelihood(np.where(vanished, 0.05 * move, sigma * np.exp(0.05 * move))) < likelihood(sigma)
+        assert vanished @ move or likelihood(sigma * np.exp(-0.05 * move)) < likelihood(sigma)
 
 
 @pytest.mark.slow
