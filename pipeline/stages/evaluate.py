@@ -45,7 +45,6 @@ def run(analysis: Analysis) -> StageRecord:
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
     conventional = replace(diagnosis.expected, deviation=None) if diagnosis.by_least_squares else None
-    metrics: dict[str, object] = {"coefficients": {}, **quality}
     summary: dict[str, object] = {}
     written: list[Path] = []
     if "residual" in quality:
@@ -60,16 +59,15 @@ def run(analysis: Analysis) -> StageRecord:
         table = table.at(bounded)
         modelled = None if modelled is None else modelled.at(bounded)
         conventional = None if conventional is None else conventional.at(bounded)
-    errors = None if modelled is None else measure_errors(table, modelled, names)
-    beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
-    if modelled is not None and errors is not None:
+    errors, beside = (
+        {} if modelled is None or each is None else measure_errors(each, modelled, names)
+        for each in (table, conventional)
+    )
+    shown, metrics = Coefficients(table, modelled, names), {"coefficients": errors, **quality}
+    if modelled is not None:
         summary["mean_error_ppm"] = {name: 1e4 * find_worst_mean(errors, name) for name in config.identify.named()}
-        metrics["coefficients"] = errors
-        if beside is not None:
-            metrics["least_squares"] = beside
-        if table.deviation is not None:
-            metrics["within_95_percent_interval"] = list_coverage(table, modelled, names)
-    shown = Coefficients(table, modelled, names)
+        metrics |= {"least_squares": beside} if beside else {}
+        metrics |= {"within_95_percent_interval": list_coverage(table, modelled, names)} if shown.stated else {}
     rows = make_error_table(shown, errors, beside)
     written.append(write_table(files.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
@@ -78,9 +76,9 @@ def run(analysis: Analysis) -> StageRecord:
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
-    if "physical_numbers" in quality:
+    if numbers := quality.get("physical_numbers"):
         print_laws(config, quality)
-        metrics["physical_numbers"] = judge_numbers(quality["physical_numbers"], config.machine)
+        metrics["physical_numbers"] = judge_numbers(numbers, config.machine)
     elsewhere = model_unmeasured(config, answer.table.speeds)
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)
     for state, error in beyond.items():
