@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ANSWER, DATA, Run
-from running import FEW_SPEEDS, ROOT, names_in
+from running import FEW_SPEEDS, ROOT, names_in, strict_json
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
@@ -36,12 +36,6 @@ COARSE = [
     "robustness.count=3",
 ]
 LONG = ["optimizer=adam", "optimizer.adam.steps=100000000", "optimizer.adam.patience=100000000"]
-
-
-def account(folder: Path) -> dict[str, Any]:
-    """training.json."""
-    told: dict[str, Any] = json.loads((folder / "training.json").read_text(encoding="utf-8"))
-    return told
 
 
 def losses(folder: Path, column: str = "held_out_loss") -> list[float]:
@@ -96,7 +90,7 @@ def test_ctrl_c_in_any_phase_keeps_the_best_state(
     assert stop.value.code == 130
     assert "interrupted: the best state so far was kept" in capsys.readouterr().out
     assert names_in(tmp_path / "x") == DATA | ANSWER
-    told = account(tmp_path / "x")
+    told = strict_json(tmp_path / "x" / "training.json")
     assert told["outcome"] == "interrupted"
     assert told[score] <= min(losses(tmp_path / "x", score)) * (1 + 1e-12)  # each bearing at its own best step
     assert 0 <= len(losses(tmp_path / "x", score)) - told["steps"] <= 1  # the last one was not finished
@@ -241,7 +235,7 @@ def test_ctrl_c_on_a_terminal(run: Run, tmp_path: Path) -> None:
     assert "interrupted: the best state so far was kept" in terminal.said
     assert "Traceback" not in terminal.said
     assert names_in(tmp_path / "x") == DATA | ANSWER
-    told = account(tmp_path / "x")
+    told = strict_json(tmp_path / "x" / "training.json")
     assert told["outcome"] == "interrupted"
     assert told["held_out_loss"] <= min(losses(tmp_path / "x")) * (1 + 1e-12)  # each bearing at its own best step
     run("evaluate", compose_config([*COARSE, *LONG]), tmp_path / "x")

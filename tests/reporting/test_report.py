@@ -70,17 +70,15 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class _Links(HTMLParser):
-    """Every address that the page's elements name, and how deep they are left open."""
+    """Every address that the page's elements name, and its policy."""
 
     def __init__(self) -> None:
         super().__init__()
         self.addresses: list[str] = []
-        self.tags: list[str] = []
         self.policy = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         given = dict(attrs)
-        self.tags.append(tag)
         self.addresses += [value for name in ("src", "href", "srcset", "action", "data") if (value := given.get(name))]
         if given.get("http-equiv") == "Content-Security-Policy":
             self.policy = given.get("content") or ""
