@@ -32,7 +32,7 @@ def run(analysis: Analysis) -> StageRecord:
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)
     _print(config, judged, chosen)
-    folder = analysis.files.folder
+    folder = analysis.folder
     summary = {
         "chosen": chosen.name,
         "models": {model.name: asdict(model) | {"rejected": model.rejected} for model in judged},

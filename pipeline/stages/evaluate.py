@@ -40,7 +40,7 @@ from pipeline.write_numbers import write_number
 
 def run(analysis: Analysis) -> StageRecord:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
-    config, files, answer = analysis.config, analysis.files, restore(analysis)
+    config, answer = analysis.config, restore(analysis)
     table, names = answer.stated, answer.names
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
@@ -50,7 +50,7 @@ def run(analysis: Analysis) -> StageRecord:
     if "residual" in quality:
         summary["residual_ppm"] = 1e6 * quality["residual"]["mean_over_bearing_force"]
     if conventional is not None:
-        written.append(write_coefficients(files.folder / "least_squares_coefficients.csv", conventional))
+        written.append(write_coefficients(analysis.folder / "least_squares_coefficients.csv", conventional))
     if not (bounded := table.bounded).all():
         rpm = to_rpm(table.speeds[~bounded])
         warn(
@@ -69,7 +69,7 @@ def run(analysis: Analysis) -> StageRecord:
         metrics |= {"least_squares": beside} if beside else {}
         metrics |= {"within_95_percent_interval": list_coverage(table, modelled, names)} if shown.stated else {}
     rows = make_error_table(shown, errors, beside)
-    written.append(write_table(files.folder / "coefficient_errors.csv", rows))
+    written.append(write_table(analysis.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
     if "determined" in quality:
         say(f"{config.name}: {describe_verdicts(quality)}")
@@ -92,12 +92,12 @@ def run(analysis: Analysis) -> StageRecord:
     if loss.weighs_noise:
         metrics["held_out"] = _judge_held_out(config, answer)
     written += [
-        draw_history(files.figure("training"), files.history, loss.label),
-        *(draw_coefficients(files.figure(name), shown, letter) for name, letter in _FIGURES.items()),
-        write_json(files.metrics, metrics),
-        write_json(files.folder / "summary.json", summary),
+        draw_history(analysis.figure("training"), analysis.history, loss.label),
+        *(draw_coefficients(analysis.figure(name), shown, letter) for name, letter in _FIGURES.items()),
+        write_json(analysis.metrics, metrics),
+        write_json(analysis.folder / "summary.json", summary),
     ]
-    return StageRecord(metrics, answer.tags, [*written, files.identified])
+    return StageRecord(metrics, answer.tags, [*written, analysis.identified])
 
 
 _FIGURES = {"identified": "", "stiffness": "k", "damping": "c"}

@@ -26,13 +26,13 @@ _MOST_SPECTRA = 2
 
 def run(analysis: Analysis) -> StageRecord:
     """``report.html`` and ``report.pdf``."""
-    config, work, content = analysis.config, analysis.files, collect_content(analysis)
+    config, content = analysis.config, collect_content(analysis)
     sections = list_sections(content)
     title = f"Bearing identification: {config.name.replace('_', ' ')}"
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     head = config.machine.report.model_dump(exclude={"paper"}) | {"subject": config.description, "made": made}
     written = [
-        write(work.folder / f"report.{kind}", title, head, sections, config.machine.report.paper)
+        write(analysis.folder / f"report.{kind}", title, head, sections, config.machine.report.paper)
         for kind, write in (("html", write_page), ("pdf", write_pdf))
     ]
     without = "".join(f"\n  without {part}: {reason}" for part, reason in content.missing.items())
@@ -45,17 +45,17 @@ def collect_content(analysis: Analysis) -> ReportContent:
 
     Raises DataError for a reference table that breaks its laws.
     """
-    config, work, measurement = analysis.config, analysis.files, prepare(analysis)
+    config, measurement = analysis.config, prepare(analysis)
     reference = {} if config.report.reference is None else read_reference(Path(config.report.reference))
     missing: dict[str, str] = {}
     fit = _read_fit(analysis, missing)
-    analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
+    analysis.require("diagnose", analysis.folder / "diagnosis.json", behind=analysis.vibration)
     names, judged = ["ingest", "diagnosis"], None
     if fit is not None:
-        attempt(lambda this: this.require("evaluate", work.metrics, behind=work.training), analysis, "errors", missing)
+        attempt(lambda this: this.require("evaluate", this.metrics, behind=this.training), analysis, "errors", missing)
         names = [*names, *(() if "errors" in missing else ("metrics",))]
         judged = attempt(load_judgement, analysis, "verdicts", missing)
-    contents = {name: work.folder / f"{name}.json" for name in names}
+    contents = {name: analysis.folder / f"{name}.json" for name in names}
     return ReportContent(
         config=config,
         measurement=measurement,
@@ -67,7 +67,7 @@ def collect_content(analysis: Analysis) -> ReportContent:
         origin=describe_origin(
             config,
             measurement,
-            (work.vibration, work.excitation, work.folder / "model.safetensors"),
+            (analysis.vibration, analysis.excitation, analysis.folder / "model.safetensors"),
             describe_provenance(),
         ),
         missing=missing,

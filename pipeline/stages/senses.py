@@ -56,5 +56,5 @@ def run(analysis: Analysis) -> StageRecord:
         }
         for trial in senses.trials
     ]
-    written = [write_json(analysis.files.folder / "senses.json", summary)]
+    written = [write_json(analysis.folder / "senses.json", summary)]
     return StageRecord({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)
