@@ -98,10 +98,6 @@ class Comparison:
         best = min(fullest, key=lambda method: self.error(method, case, name), default="")
         return {method for method in enough if method == best or not self.differs(method, best, case, name)}
 
-    def by_coefficient(self, method: str) -> dict[str, float]:
-        """Coefficient -> error in the main case; empty where there is no answer."""
-        return {name: error for name in self.names if not np.isnan(error := self.error(method, self.main, name))}
-
     def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
         shares = [
@@ -384,7 +380,11 @@ def summarize_comparison(comparison: Comparison) -> dict[str, object]:
                 for case in comparison.along("speeds")
                 if np.isfinite(error := comparison.error(method, case))
             },
-            "median_error_percent_by_coefficient": comparison.by_coefficient(method),
+            "median_error_percent_by_coefficient": {
+                name: error
+                for name in comparison.names
+                if not np.isnan(error := comparison.error(method, comparison.main, name))
+            },
             "within_95_percent_interval": comparison.coverage(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
         }

@@ -57,13 +57,13 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
     if behaviour.deviations is not None:
         growth, decrement = behaviour.margin_deviations
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
-    summary: dict[str, object] = {
+    return {
         "critical_speeds": {
             f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))
         },
         "stability": stability,
+        **({"modes": _summarize_natural(behaviour)} if len(behaviour.modes.speeds) == 1 else {}),
     }
-    return summary | ({"modes": _summarize_natural(behaviour)} if len(behaviour.modes.speeds) == 1 else {})
 
 
 def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:

@@ -62,9 +62,8 @@ def run(analysis: Analysis) -> StageRecord:
         }
     summed = superpose_unseen(config.machine, measurement, twin)
     if not isinstance(summed, str) and "modelled" in vibration:
-        truth = vibration["modelled"].displacement
-        off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
-        summary["influence_coefficients"] = {"error_percent": off}
+        pairs = zip("xy", summed.T, vibration["modelled"].displacement.T, strict=True)
+        summary["influence_coefficients"] = {"error_percent": {d: error_percent(*pair) for d, *pair in pairs}}
     print_twin(config, summary, vibration, at, twin.operating)
     _say_superposed(config, summed, summary, at)
     written = [

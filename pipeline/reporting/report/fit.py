@@ -179,9 +179,13 @@ def _take_median(values: np.ndarray) -> float:
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
-    """Readings and model of every probe over speed with their residuals."""
+    """Readings and model of every probe over speed with their residuals; model parameters, before and after."""
     figure = _draw_residuals(content, fit, [r for r in content.shown_runs if not content.held_out(r)], "fit")
-    return [_write_quality(fit.training), _list_probes(content, fit), figure, *_list_parameters(fit.training)]
+    caption = "Uncertain numbers of the model, change against what was stated"
+    parameters = list_parameters(
+        caption, fit.training.get("model_parameters", {}), spell=lambda kind: kind.replace("_", " ")
+    )
+    return [_write_quality(fit.training), _list_probes(content, fit), figure, *[parameters] * bool(parameters.rows)]
 
 
 def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
@@ -275,9 +279,3 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
 def _name_noise(content: ReportContent) -> str:
     """What residuals are compared with."""
     return "drift" if content.measurement.drift else "noise"
-
-
-def _list_parameters(training: Mapping[str, Any]) -> list[Table]:
-    """Model parameters that were fitted with the coefficients, before and after."""
-    caption, fitted = "Uncertain numbers of the model, change against what was stated", training.get("model_parameters")
-    return [list_parameters(caption, fitted, spell=lambda kind: kind.replace("_", " "))] if fitted else []
