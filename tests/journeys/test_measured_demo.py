@@ -11,12 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import DATA, Artifacts, Run, pictures_left_out, refused
+from running import EXAMPLE
 
 from pipeline.errors import ConfigError
 
 pytestmark = pytest.mark.slow
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "measured_demo"
 
 
 @pytest.fixture(scope="module")
