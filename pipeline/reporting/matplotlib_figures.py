@@ -169,7 +169,6 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
         return
     shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
-    drawn = []
     for i, axes in enumerate(panel.axes):
         ax = drawing.add_axes(
             (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i])
@@ -178,12 +177,12 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
         if i == 0:
+            top = ax
             ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left", y=1.0)  # given, it is not looked for
         ax.tick_params(labelbottom=i == len(shares) - 1)
-        drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
-        _draw_keys(drawn[0], [_draw_key(key) for key in list_keys([panel])])
+        _draw_keys(top, [_draw_key(key) for key in list_keys([panel])])
 
 
 def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> None:

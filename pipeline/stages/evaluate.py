@@ -108,8 +108,11 @@ def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, Any]]
     compared = compare_held_out(answer.measurement, answer.table, answer.unbalance, config.training)
     for what, held_out in compared.items():
         model, rival = held_out["model_error_percent"], held_out["rival_error_percent"]
-        told = "no prediction, since coefficients leave all bounds where nothing was fitted"
-        told = told if model is None else f"predicted to {write_number(model, digits=3)} % (root mean square)"
+        told = (
+            "no prediction, since coefficients leave all bounds where nothing was fitted"
+            if model is None
+            else f"predicted to {write_number(model, digits=3)} % (root mean square)"
+        )
         said = "no answer" if rival is None else f"{write_number(rival, digits=3)} %"
         say(f"{config.name}: held-out {what}: {told}; by {held_out['rival']}: {said}")
     return compared

@@ -45,12 +45,13 @@ def run(analysis: Analysis) -> StageRecord:
             f"the modelled rotor is unstable somewhere (growth {write_number(margin.largest_growth, digits=3)} 1/s): "
             "its steady vibration can't be measured"
         )
-    stability = {
-        "largest_growth": margin.largest_growth,
-        "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-    }
     return StageRecord(
-        metrics={"stability": stability},
+        metrics={
+            "stability": {
+                "largest_growth": margin.largest_growth,
+                "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+            }
+        },
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=written,
     )

@@ -95,6 +95,6 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
         *measured.notes,
         *note_whirl(measured.recorded),
         *note_alike(measured.dataset),
+        *note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping),
     ]
-    notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

@@ -10,7 +10,7 @@ from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import read_json
 from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.content import FitContent, ReportContent, describe_origin, read_reference
+from pipeline.reporting.content import ReportContent, describe_origin, read_reference
 from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
@@ -48,7 +48,16 @@ def collect_content(analysis: Analysis) -> ReportContent:
     config, measurement = analysis.config, prepare(analysis)
     reference = {} if config.report.reference is None else read_reference(Path(config.report.reference))
     missing: dict[str, str] = {}
-    fit = _read_fit(analysis, missing)
+    # Training first where it is missing.
+    fit = attempt(
+        lambda this: collect_fit(this, load_modelled(config, restore(this).measurement), missing),
+        analysis,
+        "fit",
+        missing,
+        (IdentifiabilityError,),
+    )
+    if fit is None:
+        warn(f"{missing['fit']}\n{config.name}: the report has what was measured and the diagnosis alone")
     analysis.require("diagnose", analysis.folder / "diagnosis.json", behind=analysis.vibration)
     names, judged = ["ingest", "diagnosis"], None
     if fit is not None:
@@ -72,16 +81,6 @@ def collect_content(analysis: Analysis) -> ReportContent:
         ),
         missing=missing,
     )
-
-
-def _read_fit(analysis: Analysis, missing: dict[str, str]) -> FitContent | None:
-    """The fit, training first where it is missing; None, with a warning, where the data determine nothing."""
-    try:
-        return collect_fit(analysis, load_modelled(analysis.config, restore(analysis).measurement), missing)
-    except IdentifiabilityError as error:
-        missing["fit"] = str(error)
-        warn(f"{error}\n{analysis.config.name}: the report has what was measured and the diagnosis alone")
-        return None
 
 
 def _read_spectra(config: Config) -> dict[str, FullSpectra]:

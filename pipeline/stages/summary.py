@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import ConfigError, DataError, PipelineError
 from pipeline.files import read_json, write_text
 from pipeline.parameters.as_built import stand_on_pedestals
 from pipeline.reporting.console import say
@@ -51,10 +51,17 @@ def collect_fit(analysis: Analysis, modelled: BearingTable | None, missing: dict
     return FitContent(answer, twin, modelled, read_json(analysis.training, AGAIN))
 
 
-def attempt(make: Callable[[Analysis], _T], analysis: Analysis, part: str, missing: dict[str, str]) -> _T | None:
-    """What ``make`` makes; None where it can't, with the reason in ``missing``, and the rest goes on without."""
+def attempt(
+    make: Callable[[Analysis], _T],
+    analysis: Analysis,
+    part: str,
+    missing: dict[str, str],
+    kinds: tuple[type[PipelineError], ...] = (ConfigError, DataError),
+) -> _T | None:
+    """What ``make`` makes; None where it ends in an error of these ``kinds``: its reason is in ``missing`` then, and
+    the rest goes on without."""
     try:
         return make(analysis)
-    except (ConfigError, DataError) as error:
+    except kinds as error:
         missing[part] = str(error)
         return None

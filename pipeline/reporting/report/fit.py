@@ -146,6 +146,8 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
 
 def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
     """Identified against the reference, in percent, and in standard deviations where they are stated."""
+    import pandas as pd
+
     reference, shown = content.reference, fit.at_conditions
     if not reference:
         return []
@@ -160,8 +162,8 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             off = np.interp(speeds, rpm, shown.identified.values[b, :, c]) - given
             deviation = np.interp(speeds, rpm, shown.identified.spread[b, :, c])
             with np.errstate(divide="ignore", invalid="ignore"):
-                medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
-            off_by, over = (write_number(median, digits=3) for median in medians)
+                differences = pd.DataFrame({"off": 100 * off / np.abs(given), "over": np.abs(off) / deviation})
+            off_by, over = (write_number(median, digits=3) for median in differences.median())
             rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", off_by, over * shown.stated])
     name = content.origin.get("reference", "the reference")
     return [
@@ -171,11 +173,6 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             rows,
         ).without_blank()
     ]
-
-
-def _take_median(values: np.ndarray) -> float:
-    """The median of those that are numbers; NaN where none is."""
-    return float(np.median(numbers)) if len(numbers := values[~np.isnan(values)]) else float("nan")
 
 
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
