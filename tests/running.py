@@ -23,6 +23,7 @@ from pipeline.config.operating import column_of
 from pipeline.config.schema import Config
 
 ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = ROOT / "examples" / "measured_demo"
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 PYTHON = [sys.executable, "-W", "error"]
 FEW_SPEEDS = tuple(f"machine.speeds.{key}" for key in ("start_rpm=500", "stop_rpm=5500", "step_rpm=500"))

@@ -111,9 +111,13 @@ def measure_numbers(numbers: Mapping[str, Mapping[str, float]], machine: Machine
     true, measured = find_true_numbers(machine), {}
     for name in [name for name in numbers if name in true]:
         value, deviation, expected = numbers[name]["value"], numbers[name]["deviation"], true[name]
-        about = {"value": value, "deviation": deviation, "true": expected}
-        within = abs(value - expected) <= NOMINAL_95 * deviation
-        measured[name] = about | {"error_percent": 100.0 * abs(value / expected - 1.0), "within": within}
+        measured[name] = {
+            "value": value,
+            "deviation": deviation,
+            "true": expected,
+            "error_percent": 100.0 * abs(value / expected - 1.0),
+            "within": abs(value - expected) <= NOMINAL_95 * deviation,
+        }
     return measured
 
 

@@ -120,15 +120,13 @@ def read_committed(path: Path) -> Committed:
         ) from None
 
 
-def tabulate_committed(checks: Sequence[Check]) -> dict[str, list[Any]]:
-    """The columns of ``committed.csv``; four digits say enough."""
-    values = [(c, c.value) for c in checks if c.value is not None]
-    return {
-        "experiment": [c.experiment for c, _ in values],
-        "file": [c.rule.file for c, _ in values],
-        "metric": [c.metric for c, _ in values],
-        "value": [f"{value:.4g}" for _, value in values],
-    }
+def tabulate_committed(checks: Sequence[Check]) -> list[dict[str, Any]]:
+    """The rows of ``committed.csv``; four digits say enough."""
+    return [
+        {"experiment": c.experiment, "file": c.rule.file, "metric": c.metric, "value": f"{c.value:.4g}"}
+        for c in checks
+        if c.value is not None
+    ]
 
 
 def check_experiment(experiment: str, rules: list[Rule], folder: Path, committed: Committed) -> list[Check]:
@@ -147,11 +145,8 @@ def check_experiment(experiment: str, rules: list[Rule], folder: Path, committed
 
 def find_nearest_limits(checks: Sequence[Check]) -> dict[str, float]:
     """The metric nearest to its threshold in each experiment, as a share of it; 1 and more fails."""
-    shares: dict[str, float] = {}
-    for c in checks:
-        if c.share_of_limit is not None:
-            shares[c.experiment] = max(shares.get(c.experiment, 0.0), c.share_of_limit)
-    return shares
+    shares = [(c.experiment, c.share_of_limit) for c in checks if c.share_of_limit is not None]
+    return {name: max(0.0, *(each for other, each in shares if other == name)) for name, _ in shares}
 
 
 def _select(value: Any, path: list[str], trail: tuple[str, ...] = ()) -> Iterator[tuple[str, float]]:

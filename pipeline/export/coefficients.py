@@ -168,12 +168,13 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
     (stiffness, damping), bearings = NAMES[states[0].units], []
     for exported, (b, node) in itertools.product(states, enumerate(states[0].table.nodes)):
         beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
-        operating, coefficients = {name: float(levels[0]) for name, levels in beside.items()}, {}
-        for c, name in enumerate(COEFFICIENTS):
-            known = bool(exported.identified[b, c])
-            value, *std = (table[b, :, c].tolist() for table in exported.tables.values())
-            coefficients[name] = Coefficient(identified=known, value=value, std=std[0] if known and std else None)
-        rpm = exported.rpm.tolist()
+        unknown = exported.identified[b].tolist()
+        value, *std = (table[b].T.tolist() for table in exported.tables.values())
+        coefficients = {
+            name: Coefficient(identified=unknown[c], value=value[c], std=std[0][c] if std and unknown[c] else None)
+            for c, name in enumerate(COEFFICIENTS)
+        }
+        operating, rpm = {name: float(levels[0]) for name, levels in beside.items()}, exported.rpm.tolist()
         bearings.append(Bearing(node=int(node), operating=operating, speed_rpm=rpm, coefficients=coefficients))
     return Document(
         experiment=states[0].name,

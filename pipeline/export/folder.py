@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from pipeline.data.tables import write_table
 from pipeline.export.coefficients import BRIEF, NAMES, Document, Exported, Number, document, list_conventions, tabulate
 from pipeline.files import render, write_json, write_text
 from pipeline.identification.identified import Answer
+from pipeline.identification.quality import finite
 from pipeline.problem.measurement import Measurement
 from pipeline.twin.at_conditions import evaluate_at, require_conditions
 from pipeline.twin.prediction import predict
@@ -56,29 +58,29 @@ def write_workbook(
     """
     from openpyxl import Workbook
 
-    book = Workbook()
-    book.remove(book.active)
+    sheets: dict[str, list[list[Any]]] = {}
     for (i, exported), (b, node) in itertools.product(enumerate(states, start=1), enumerate(states[0].table.nodes)):
         title = f"node {node}" + (f", {exported.state}" if exported.operating else "")
         if len(title) > longest - len(" deviations"):
             title = f"node {node}, state {i}"
         for beside, table in exported.tables.items():
-            sheet = book.create_sheet(f"{title} deviations" if beside else title)
-            sheet.append([f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"])
-            for _ in range(above - 1):
-                sheet.append([None])
-            sheet.append(["Speed", *(name.capitalize() for name in COEFFICIENTS)])
-            sheet.append(["rpm", *map(exported.unit, COEFFICIENTS)])
-            for rpm, row in zip(exported.rpm, table[b], strict=True):
-                sheet.append([float(rpm), *(None if np.isnan(value) else float(value) for value in row)])
+            sheets[f"{title} deviations" if beside else title] = [
+                [f"{exported.title}, bearing at node {node}; the sheet 'conventions' has axes and signs"],
+                *[[None]] * (above - 1),
+                ["Speed", *(name.capitalize() for name in COEFFICIENTS)],
+                ["rpm", *map(exported.unit, COEFFICIENTS)],
+                *([float(rpm), *map(finite, row)] for rpm, row in zip(exported.rpm, table[b], strict=True)),
+            ]
     if numbers:
-        sheet = book.create_sheet("physical numbers")
-        sheet.append(["number", "value", "standard deviation", "unit"])
-        for number in numbers:
-            sheet.append([number.name, number.value, number.std, number.unit])
-    sheet = book.create_sheet("conventions")
-    for convention in list_conventions(states):
-        sheet.append([convention])
+        rows = ([number.name, number.value, number.std, number.unit] for number in numbers)
+        sheets["physical numbers"] = [["number", "value", "standard deviation", "unit"], *rows]
+    sheets["conventions"] = [[convention] for convention in list_conventions(states)]
+    book = Workbook()
+    book.remove(book.active)
+    for title, lines in sheets.items():
+        sheet = book.create_sheet(title)
+        for line in lines:
+            sheet.append(line)
     for cell in (cell for sheet in book for row in sheet.iter_rows() for cell in row):
         cell.data_type = "s" if cell.data_type == "f" else cell.data_type  # a name that begins with "=" is no formula
     book.save(path)

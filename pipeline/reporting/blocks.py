@@ -185,6 +185,12 @@ class Panel:
         """Whether the panel is a polar plot."""
         return not np.isnan(self.polar)
 
+    def scales(self, axes: Axes) -> tuple[float, float]:
+        """What x and y of the ``axes`` are multiplied by, unless the reader chooses another unit."""
+        place = MICROMETRES if self.equal else MICROMETRES_PEAK_TO_PEAK
+        scale = place if axes.quantity == "amplitude" else 1.0
+        return (scale if self.equal else 1.0), scale
+
     @property
     def bare_lag(self) -> float:
         """Where a polar plot has room for its scale, deg of lag: between two spokes, away from the curves."""

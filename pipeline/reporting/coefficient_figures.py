@@ -113,12 +113,10 @@ class Coefficients:
 def draw_bearing(shown: Coefficients, b: int, letter: str, si: bool = False) -> Panel:
     """Every stiffness (``letter`` k) or damping (c) of a bearing; in SI with its error below where that is known."""
     scale, measured_in = (1.0, unit(letter)) if si else UNITS[letter]
-    names = [name for name in COEFFICIENTS if name[0] == letter]
-    curves, errors = [], []
-    for name, look in zip(names, LOOKS, strict=False):
-        if name in shown.unknowns[b] or is_direct(name):
-            curves += shown.draw(b, name, f"{name} identified", look, scale)
-        errors += shown.draw_errors(b, name, look[0]) if name in shown.unknowns[b] else []
+    looks = dict(zip((name for name in COEFFICIENTS if name[0] == letter), LOOKS, strict=False))
+    drawn = [name for name in looks if name in shown.unknowns[b] or is_direct(name)]
+    curves = [curve for n in drawn for curve in shown.draw(b, n, f"{n} identified", looks[n], scale)]
+    errors = [curve for n in drawn if n in shown.unknowns[b] for curve in shown.draw_errors(b, n, looks[n][0])]
     values = np.concatenate([curve.y for curve in curves] or [np.zeros(1)])
     scaled = "log" if si and np.nanmin(values, initial=np.inf) > 0 else "linear"
     axes = [Axes(curves, f"{KINDS[letter]} ({measured_in})", scale=scaled, y_range=clip_bands(curves, scaled == "log"))]

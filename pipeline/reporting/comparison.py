@@ -98,10 +98,6 @@ class Comparison:
         best = min(fullest, key=lambda method: self.error(method, case, name), default="")
         return {method for method in enough if method == best or not self.differs(method, best, case, name)}
 
-    def by_coefficient(self, method: str) -> dict[str, float]:
-        """Coefficient -> error in the main case; empty where there is no answer."""
-        return {name: error for name in self.names if not np.isnan(error := self.error(method, self.main, name))}
-
     def coverage(self, method: str, case: Case) -> float | None:
         """Percent of speeds inside the nominal 95 % interval, mean over all; None where no deviation is stated."""
         shares = [
@@ -212,11 +208,13 @@ def make_tables(comparison: Comparison) -> list[Table]:
         names = " or ".join(SENSOR_TEXT[case.sensors] for case in others)
         columns = [(case, describe_case(case, "sensors", "noise")) for case in pairs]
         tables.append(_make_table(comparison, f"sensors: {names}, {describe_case(main, 'speeds')}", columns))
-    each = []
-    for m in methods:
-        errors = comparison.by_coefficient(m)
-        cells = [comparison.format_entry(m, main, name) if name in errors else "" for name in comparison.names]
-        each.append([comparison.label(m, [main]), *cells])
+    each = [
+        [
+            comparison.label(m, [main]),
+            *(comparison.format_entry(m, main, n) * bool(comparison.entries(m, main, n)) for n in comparison.names),
+        ]
+        for m in methods
+    ]
     title = f"each coefficient; {describe_case(main, 'noise', 'sensors', 'speeds')}"
     return [*tables, Table(title, ["method", *comparison.names], each)]
 
@@ -302,13 +300,12 @@ def draw_comparison(path: Path, comparison: Comparison, least: float = 1e-4) -> 
     noise, main = comparison.along("noise"), comparison.main
     # By the error in the main case; those without an answer there last.
     methods = sorted(comparison.methods, key=lambda method: np.nan_to_num(comparison.error(method, main), nan=np.inf))
-    shown: list[tuple[str, list[Case], str]] = []
-    for case in comparison.along("sensors"):
-        title = f"sensors: {SENSOR_TEXT[case.sensors]}, {case.speeds} speeds"
-        shown.append((title, [Case(level.noise, case.sensors, case.speeds) for level in noise], "noise"))
+    shown = [
+        (f"sensors: {describe_case(case, 'sensors', 'speeds')}", [replace(case, noise=n.noise) for n in noise], "noise")
+        for case in comparison.along("sensors")
+    ]
     if len(by_speeds := comparison.along("speeds")) > 1:
-        title = f"sensors: {SENSOR_TEXT[main.sensors]}, {format_noise(main.noise)} noise"
-        shown.append((title, by_speeds, "speeds"))
+        shown.append((f"sensors: {describe_case(main, 'sensors', 'noise')} noise", by_speeds, "speeds"))
     every = [comparison.error(method, case) for _, cases, _ in shown for case in cases for method in methods]
     reach = (least, 2 * float(np.nanmax([10 * least, *every])))
     return write_figure(
@@ -383,7 +380,11 @@ def summarize_comparison(comparison: Comparison) -> dict[str, object]:
                 for case in comparison.along("speeds")
                 if np.isfinite(error := comparison.error(method, case))
             },
-            "median_error_percent_by_coefficient": comparison.by_coefficient(method),
+            "median_error_percent_by_coefficient": {
+                name: error
+                for name in comparison.names
+                if not np.isnan(error := comparison.error(method, comparison.main, name))
+            },
             "within_95_percent_interval": comparison.coverage(method, comparison.main),
             "outcomes": comparison.outcomes().get(method, {}),
         }

@@ -30,7 +30,7 @@ from pipeline.reporting.blocks import Mark
 from pipeline.reporting.coefficient_figures import Coefficients
 from pipeline.reporting.measured_figures import Trace, choose_looks, list_traces
 from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.stored import place_probe
+from pipeline.rotor.stored import place_probes
 from pipeline.twin.at_conditions import pick_middle, say_beyond
 from pipeline.twin.twin import Twin
 
@@ -145,25 +145,18 @@ class ReportContent:
     def probes(self) -> tuple[View, ...]:
         """Every probe: those that recorded, or the channels of the data where these are all that is known."""
         data, recordings = self.dataset, self.config.machine.recordings
-        if not recordings.probes or self.config.data.vibration is not None:
-            units = np.eye(len(data.channels))
-            return tuple(View(name_channel(seen), *seen, unit) for seen, unit in zip(data.channels, units, strict=True))
-        listed = []
-        for name, probe in recordings.probes.items():
-            angle = float(np.degrees(probe.angle))
-            node = place_probe(self.measurement.rotor, f"machine.recordings.probes.{name}", probe)
-            listed.append(View(name, node, angle, data.shares(node, angle)))
-        return tuple(listed)
+        seen = [(name_channel(channel), *channel) for channel in data.channels]
+        if recordings.probes and self.config.data.vibration is None:
+            placed = place_probes(self.measurement.rotor, recordings).probes
+            seen = [(name, probe.node, float(np.degrees(probe.angle))) for name, probe in placed.items()]
+        return tuple(View(name, node, angle, data.shares(node, angle)) for name, node, angle in seen)
 
     @cached_property
     def shown_probes(self) -> tuple[View, ...]:
         """Those that are drawn: at bearings first, then at discs, then others."""
-        rotor = self.measurement.rotor
-
-        def rank(probe: View) -> tuple[int, int]:
-            return (0 if probe.node in rotor.bearing_nodes else 1 if probe.node in rotor.disc_nodes else 2), probe.node
-
-        return tuple(sorted(self.probes, key=rank)[:MOST_PROBES])
+        ranks = dict.fromkeys(self.measurement.rotor.disc_nodes, 1)
+        ranks |= dict.fromkeys(self.measurement.rotor.bearing_nodes, 0)
+        return tuple(sorted(self.probes, key=lambda probe: (ranks.get(probe.node, 2), probe.node))[:MOST_PROBES])
 
     @cached_property
     def shown_runs(self) -> tuple[int, ...]:

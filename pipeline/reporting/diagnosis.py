@@ -250,8 +250,7 @@ def draw_diagnosis(
 
 def _take_medians(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """(U,) medians of the ``values`` (S,) at each different speed; ``groups`` (S,) says which it is."""
-    order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
-    return np.array([np.median(group) for group in np.split(values[order], np.cumsum(counts)[:-1])])
+    return np.array([np.median(values[groups == group]) for group in range(groups.max() + 1)])
 
 
 def _shade_verdicts(rpm: np.ndarray, reach: tuple[float, float]) -> list[Curve]:
@@ -289,10 +288,11 @@ def draw_budget(path: Path, coefficients: Sequence[str], percent: Mapping[str, n
     values = np.array(list(percent.values()))
     shade = np.log10(np.clip(values, 0.1, 100.0))
     down, across = np.meshgrid(*map(np.arange, values.shape), indexing="ij")
-    numbers = []
-    for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1)):
-        texts = [write_rough(float(value)) for value in values[chosen]]
-        numbers.append(Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts))
+    texts = np.array([[write_rough(float(value)) for value in row] for row in values])
+    numbers = [
+        Curve(across[chosen], down[chosen] + 0.12, "", colour, "none", texts=texts[chosen].tolist())
+        for colour, chosen in (("#ffffff", shade > 1), (BLACK, shade <= 1))
+    ]
     return write_panel(
         path,
         Panel(

@@ -25,12 +25,11 @@ from pipeline.trust.misfit import describe_held_out, describe_readings, measure_
 from pipeline.write_numbers import format_engineering, write_number, write_percent, write_rough
 
 
-def make_error_table(
-    shown: Coefficients, errors: CoefficientErrors | None, beside: CoefficientErrors | None
-) -> list[dict[str, Any]]:
+def make_error_table(shown: Coefficients, errors: CoefficientErrors, beside: CoefficientErrors) -> list[dict[str, Any]]:
     """Paper, Table 1: one row a bearing and coefficient, values as means over the speeds, errors in percent.
 
-    Measured data have no modelled coefficients, and so neither these columns nor errors.
+    Measured data have no modelled coefficients, and so neither these columns nor errors; ``beside`` are those of least
+    squares.
     """
     answer, rows = shown.identified, list[dict[str, Any]]()
     verdicts = {
@@ -38,7 +37,7 @@ def make_error_table(
     }
     for b, node in enumerate(answer.nodes):
         for name in shown.unknowns[b]:
-            error = (errors or {}).get(str(node), {}).get(name, {})
+            error, least = (each.get(str(node), {}).get(name, {}) for each in (errors, beside))
             if shown.compared and not error:
                 continue  # a modelled coefficient of zero has no relative error
             c = COEFFICIENTS.index(name)
@@ -49,7 +48,7 @@ def make_error_table(
                     "modelled": shown.truth[b, :, c].mean(),
                     "identified": answer.values[b, :, c].mean(),
                     **error,
-                    "least_squares_mean_error_percent": beside and beside[str(node)][name]["mean_error_percent"],
+                    "least_squares_mean_error_percent": least.get("mean_error_percent"),
                     "median_std_percent": float(
                         100 * np.median(answer.spread[b, :, c] / np.abs(answer.values[b, :, c]))
                     ),
@@ -291,16 +290,17 @@ def _describe_correction(
     return f"The network corrects the law of node {node} by {shown} (root mean square). {against}."
 
 
-def tabulate_verdicts(judged: Mapping[str, Any]) -> dict[str, list[Any]]:
+def tabulate_verdicts(judged: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A row a coefficient."""
-    every = judged["verdicts"]
-    columns: dict[str, list[Any]] = {key: [entry[key] for entry in every] for key in ("bearing", "node", "coefficient")}
-    return columns | {
-        "verdict": [entry["verdict"] for entry in every],
-        "band_percent": [_read_band(entry) for entry in every],
-        "reason": [" ".join(entry["reasons"]) for entry in every],
-        "next": [entry["next"] or "" for entry in every],
-    }
+    return [
+        {
+            **{key: entry[key] for key in ("bearing", "node", "coefficient", "verdict")},
+            "band_percent": _read_band(entry),
+            "reason": " ".join(entry["reasons"]),
+            "next": entry["next"] or "",
+        }
+        for entry in judged["verdicts"]
+    ]
 
 
 def _read_band(entry: Mapping[str, Any]) -> float:

@@ -46,20 +46,18 @@ def describe_runs(recordings: MeasuredConfig, measured: MeasuredRuns, notes: Seq
     data, recorded = measured.dataset, measured.recorded
     runs = {name: _summarize_run(measured, i) for i, name in enumerate(recorded.runs)}
     columns = {name: [float(v.min()), float(v.max())] for name, v in list_columns(data.operating).items()}
-    rows = []
-    for name, run_summary in runs.items():
-        acting_on = [f"{e.kind} at node {e.node}" for e in recorded.excitations if e.run == name]
-        source, speeds, first, last, largest = run_summary.values()
-        rows.append(
-            [
-                name,
-                source,
-                str(speeds),
-                f"{first:g} to {last:g}",
-                write_number(largest, digits=3),
-                ", ".join(acting_on) or "nothing (baseline)",
-            ]
-        )
+    rows = [
+        [
+            name,
+            about["source"],
+            str(about["speeds"]),
+            f"{about['first_rpm']:g} to {about['last_rpm']:g}",
+            write_number(about["largest_um"], digits=3),
+            ", ".join(f"{e.kind} at node {e.node}" for e in recorded.excitations if e.run == name)
+            or "nothing (baseline)",
+        ]
+        for name, about in runs.items()
+    ]
     places = {name: (probe.node, float(np.degrees(probe.angle))) for name, probe in recordings.probes.items()}
 
     def draw(figure: Callable[[str], Path]) -> list[Path]:

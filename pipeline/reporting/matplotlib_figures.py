@@ -12,7 +12,6 @@ import numpy as np
 from pipeline.files import write_beside
 from pipeline.reporting.blocks import (
     GREY,
-    MICROMETRES,
     MICROMETRES_PEAK_TO_PEAK,
     Axes,
     Curve,
@@ -170,7 +169,6 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
         return
     shares = np.array([1.5, *([1.0] * (len(panel.axes) - 1))])
     shares *= (1 - 0.04 * (len(shares) - 1)) / shares.sum()
-    drawn = []
     for i, axes in enumerate(panel.axes):
         ax = drawing.add_axes(
             (left, bottom + height * (1 - shares[: i + 1].sum() - 0.04 * i), width, height * shares[i])
@@ -179,12 +177,12 @@ def _draw_panel(drawing: Any, panel: Panel, box: np.ndarray) -> None:
             _draw_heat(drawing, ax, panel.heat)
         _draw_axes(ax, axes, panel)
         if i == 0:
+            top = ax
             ax.set_title("\n".join(_wrap_title(panel)), fontsize=8, loc="left", y=1.0)  # given, it is not looked for
         ax.tick_params(labelbottom=i == len(shares) - 1)
-        drawn.append(ax)
     ax.set_xlabel(panel.x_title, labelpad=1)
     if panel.legend:
-        _draw_keys(drawn[0], [_draw_key(key) for key in list_keys([panel])])
+        _draw_keys(top, [_draw_key(key) for key in list_keys([panel])])
 
 
 def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> None:
@@ -204,8 +202,6 @@ def _draw_keys(ax: Any, keys: Sequence[Any], few: int = 6, columns: int = 2) -> 
 
 def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) -> None:
     """Below an axis stand no more than ``ticks_an_inch``, room for numbers of five digits; whole ones below seeds."""
-    places = MICROMETRES if panel.equal else MICROMETRES_PEAK_TO_PEAK
-    scale = places if axes.quantity == "amplitude" else 1.0
     if axes.scale == "log":
         _set_logarithmic(ax, "y", [curve.y for curve in axes.curves])
     if panel.log_x:
@@ -215,7 +211,7 @@ def _draw_axes(ax: Any, axes: Axes, panel: Panel, ticks_an_inch: float = 2.0) ->
         whole = all((curve.x % 1 == 0).all() for curve in axes.curves)
         ax.locator_params(axis="x", nbins=max(3, round(ticks_an_inch * inches)), integer=whole)
     for curve in axes.curves:
-        _draw_curve(ax, curve, (scale if panel.equal else 1.0, scale))
+        _draw_curve(ax, curve, panel.scales(axes))
     for at, text in axes.rules:
         ax.axvline(at, color=GREY, lw=0.8, ls=":")
         ax.annotate(
@@ -266,10 +262,12 @@ def _set_logarithmic(ax: Any, letter: str, values: Sequence[np.ndarray]) -> None
         axis.set_minor_formatter(NullFormatter())
 
 
-def _write_tick(value: float, place: int | None) -> str:
-    """Powers of ten from 1e5 on and below 1e-4: longer numbers, or a power beside the axis, reach into the words."""
-    del place  # among the ticks, which matplotlib gives beside it
-    mantissa, _, power = f"{value:.3e}".partition("e")
+def _write_tick(value: float, _: int | None) -> str:
+    """Powers of ten from 1e5 on and below 1e-4: longer numbers, or a power beside the axis, reach into the words.
+
+    Matplotlib gives the place among the ticks beside it.
+    """
+    mantissa, power = f"{value:.3e}".split("e")
     return f"{float(mantissa):g}e{int(power)}" if abs(value) >= 1e5 else write_number(value)
 
 

@@ -115,13 +115,16 @@ def draw_responses(path: Path, probes: Sequence[str], tests: Sequence[FrequencyR
     """Displacement over force of every probe and run, with its band, over its coherence."""
     panels, looks = [], choose_looks([test.run.name for test in tests])
     for p, probe in enumerate(probes):
-        above, below = [], []
-        for look, test in zip(looks, tests, strict=True):
-            deviation = MICROMETRES * test.noise[:, p] / np.sqrt(2)  # of the amplitude alone
-            above.append(
-                Curve(test.frequencies, MICROMETRES * np.abs(test.response[:, p]), **look, deviation=deviation)
+        above = [
+            Curve(
+                test.frequencies,
+                MICROMETRES * np.abs(test.response[:, p]),
+                **look,
+                deviation=MICROMETRES * test.noise[:, p] / np.sqrt(2),  # of the amplitude alone
             )
-            below.append(Curve(test.frequencies, test.coherence[:, p], **look))
+            for look, test in zip(looks, tests, strict=True)
+        ]
+        below = [Curve(t.frequencies, t.coherence[:, p], **look) for look, t in zip(looks, tests, strict=True)]
         axes = [
             Axes(above, "displacement over force (µm/N)", scale="log"),
             Axes(below, "coherence", y_range=(0.0, 1.0)),
@@ -147,11 +150,9 @@ def draw_orbit_panels(
     panels = []
     for node, places in nodes.items():
         for s in picked:
-            curves: list[Curve] = []
             shown = [run for run in looks if dataset.present[s, run]]
             reach = float(np.abs(places[s][:, shown]).max(initial=0.0))
-            for run in shown:
-                curves += _draw_orbit(places[s, :, run], looks[run], reach)
+            curves = [curve for run in shown for curve in _draw_orbit(places[s, :, run], looks[run], reach)]
             panels.append(
                 Panel(
                     f"node {node}, {name_point(dataset, s)}",

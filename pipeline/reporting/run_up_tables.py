@@ -106,26 +106,18 @@ def print_run_up(name: str, settings: RunUpConfig, analysis: RunUpAnalysis, poor
 
     Modes leave the share ``poor`` of the vectors over only where something is read wrongly.
     """
-    rows = []
+    (one_mode, two_modes), rows = analysis.fits, []
     if steady := analysis.steady:
         label = f"steady: peak of the mean of {settings.steady_rows} rows, half-power width"
-        rows.append(
-            [
-                label,
-                write_number(steady.frequency / RAD_S_PER_RPM, digits=5),
-                "",
-                write_number(steady.damping, digits=3),
-                "",
-                "",
-            ]
-        )
-    labels = ("ramp, 1 mode: first", "ramp, 2 modes: first", "ramp, 2 modes: second")
-    for label, fit, mode in zip(labels, (analysis.fits[0], *[analysis.fits[1]] * 2), (0, 0, 1), strict=True):
-        rows.append(_row(label, *read_mode(fit, mode), write_number(100 * fit.misfit, digits=3)))
-    if decay := analysis.decay:
-        rows.append(
-            _row("free decay behind the peak", *read_mode(decay, 0), write_number(100 * decay.misfit, digits=3))
-        )
+        rpm, damping = write_number(steady.frequency / RAD_S_PER_RPM, digits=5), write_number(steady.damping, digits=3)
+        rows.append([label, rpm, "", damping, "", ""])
+    fits = [
+        ("ramp, 1 mode: first", one_mode, 0),
+        ("ramp, 2 modes: first", two_modes, 0),
+        ("ramp, 2 modes: second", two_modes, 1),
+        *([("free decay behind the peak", analysis.decay, 0)] if analysis.decay else []),
+    ]
+    rows += [_row(label, *read_mode(fit, mode), write_number(100 * fit.misfit, digits=3)) for label, fit, mode in fits]
     rows.append(_row("first natural frequency", analysis.frequency, analysis.damping, ""))
     table(
         f"{name}: run-up of {settings.probe}, {len(analysis.run_up.speeds)} rows of '{settings.file}'",

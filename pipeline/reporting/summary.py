@@ -273,10 +273,12 @@ def draw_kind(shown: Coefficients, letter: str, beside: str) -> Panel:
     """A colour a coefficient, a marker a bearing; what is known is dashed."""
     some, nodes, (scale, measured_in) = shown.choose(letter), shown.identified.nodes, UNITS[letter]
     names = some or [name for name in COEFFICIENTS if name[0] == letter and is_direct(name)]
-    curves = []
-    for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False):
-        for b, node in enumerate(nodes):
-            curves += shown.draw(b, name, f"{name}, node {node}", (colour, LOOKS[b % 5][1]), scale)
+    curves = [
+        curve
+        for name, colour in zip(names, (BLUE, GREEN, PURPLE, ORANGE), strict=False)
+        for b, node in enumerate(nodes)
+        for curve in shown.draw(b, name, f"{name}, node {node}", (colour, LOOKS[b % 5][1]), scale)
+    ]
     values = scale * np.concatenate([shown.identified.coefficient(name).ravel() for name in names])
     positive, several = values.min() > 0, values.max() > 5 * values.min()
     scaled = "log" if positive and several else "linear"

@@ -57,13 +57,13 @@ def summarize_modes(behaviour: Behaviour, running_rpm: float) -> dict[str, objec
     if behaviour.deviations is not None:
         growth, decrement = behaviour.margin_deviations
         stability |= {"largest_growth_std": growth, "smallest_logarithmic_decrement_std": decrement}
-    summary: dict[str, object] = {
+    return {
         "critical_speeds": {
             f"{i + 1}": _summarize_critical(behaviour, i, running_rpm) for i in range(len(behaviour.critical))
         },
         "stability": stability,
+        **({"modes": _summarize_natural(behaviour)} if len(behaviour.modes.speeds) == 1 else {}),
     }
-    return summary | ({"modes": _summarize_natural(behaviour)} if len(behaviour.modes.speeds) == 1 else {})
 
 
 def _summarize_natural(behaviour: Behaviour) -> dict[str, dict[str, float]]:
@@ -261,11 +261,11 @@ def _draw(name: str, x: np.ndarray, y: np.ndarray, colour: str, deviation: np.nd
 
 def draw_time(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
     """Figure 6 (a) and (b): x and y of the node over two turns; ``state`` names the operating conditions."""
-    rows: list[list[Curve]] = [[], []]
-    for name, predicted in vibration.items():
-        time, motion = sample_motion(predicted.displacement[at], predicted.frequencies[at])
-        for row, shift, colour in zip(rows, motion.T, (BLUE, ORANGE), strict=True):
-            row.append(_draw(name, 1e3 * time, MICROMETRES * shift, colour))
+    motions = {name: sample_motion(p.displacement[at], p.frequencies[at]) for name, p in vibration.items()}
+    rows = [
+        [_draw(name, 1e3 * time, MICROMETRES * motion[:, d], colour) for name, (time, motion) in motions.items()]
+        for d, colour in enumerate((BLUE, ORANGE))
+    ]
     return write_panel(
         path,
         Panel(
@@ -284,10 +284,8 @@ def _name_place(vibration: Mapping[str, PredictedVibration], at: int, state: str
 
 def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int, state: str = "") -> Path:
     """The orbit of the node at one speed; ``state`` names the operating conditions."""
-    curves = []
-    for name, predicted in vibration.items():
-        x, y = MICROMETRES * sample_motion(predicted.displacement[at], predicted.frequencies[at], turns=1.0)[1].T
-        curves.append(_draw(name, x, y, BLUE))
+    turns = {n: sample_motion(p.displacement[at], p.frequencies[at], turns=1.0)[1] for n, p in vibration.items()}
+    curves = [_draw(name, MICROMETRES * turn[:, 0], MICROMETRES * turn[:, 1], BLUE) for name, turn in turns.items()]
     title, axes = f"orbit of {_name_place(vibration, at, state)}", Axes(curves, "y-displacement (µm)")
     return write_panel(path, Panel(title, "x-displacement (µm)", [axes], equal=True, wide=True))
 
@@ -295,19 +293,19 @@ def draw_orbit(path: Path, vibration: Mapping[str, PredictedVibration], at: int,
 def draw_response(path: Path, vibration: Mapping[str, PredictedVibration], state: str = "") -> Path:
     """Amplitude and phase over all speeds, and the error of the prediction; ``state`` names the conditions."""
     identified, panels = vibration["identified"], []
-    rpm = to_rpm(identified.speeds)
+    rpm, sizes = to_rpm(identified.speeds), {name: measure_sizes(predicted) for name, predicted in vibration.items()}
+    phases = {name: np.degrees(np.unwrap(np.angle(p.displacement), axis=0)) for name, p in vibration.items()}
+    errors = [identified.error_percent(vibration["modelled"])] if "modelled" in vibration else []
     for d, (direction, colour) in enumerate(zip("xy", (BLUE, ORANGE), strict=True)):
-        sizes, phases, errors = [], [], []
-        for name, predicted in vibration.items():
-            phases.append(_draw(name, rpm, np.degrees(np.unwrap(np.angle(predicted.displacement[:, d]))), colour))
-            size, deviation = (values[:, d] for values in measure_sizes(predicted))
-            sizes.append(_draw(name, rpm, size, colour, deviation))
-            if name == "modelled":
-                errors.append(Curve(rpm, np.maximum(identified.error_percent(predicted)[:, d], 1e-14), "", GREY))
+        above = [_draw(name, rpm, size[:, d], colour, deviation[:, d]) for name, (size, deviation) in sizes.items()]
+        below = [_draw(name, rpm, phase[:, d], colour) for name, phase in phases.items()]
         axes = [
-            Axes(sizes, "amplitude (µm)", scale="log"),
-            Axes(phases, "phase (deg)"),
-            *[Axes(errors, "error (%)", scale="log")] * bool(errors),
+            Axes(above, "amplitude (µm)", scale="log"),
+            Axes(below, "phase (deg)"),
+            *(
+                Axes([Curve(rpm, np.maximum(error[:, d], 1e-14), "", GREY)], "error (%)", scale="log")
+                for error in errors
+            ),
         ]
         panels.append(Panel(", ".join(filter(None, (f"{direction} of node {identified.node}", state))), RPM, axes))
     return write_figure(path, Figure("response", "", panels))

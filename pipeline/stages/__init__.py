@@ -25,7 +25,7 @@ def run_stages(configs: Iterable[Config]) -> None:
     analysis: Analysis | None = None
     for config in configs:
         analysis = analysis.at(config) if analysis else Analysis(config)
-        with log_steps(analysis.files.folder):
+        with log_steps(analysis.folder):
             execute(analysis)
 
 

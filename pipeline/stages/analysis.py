@@ -32,23 +32,30 @@ from pipeline.tracking.entries import flatten
 _T = TypeVar("_T")
 
 
-# --- the files of an experiment ----------------------------------------------------------------------
+# --- an experiment, and its files ---------------------------------------------------------------------
 
 
 def _file(name: str, meaning: str) -> Any:
-    return property(lambda workspace: workspace.folder / name, doc=meaning)
+    return property(lambda analysis: analysis.folder / name, doc=meaning)
 
 
-@dataclass(frozen=True)
-class Workspace:
-    """Names of an experiment's files; vibration and excitation are given in ``data`` or its own."""
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A configuration, its files, which may not be there yet, and what :func:`made_once` keeps: measurement, diagnosis,
+    answer, twin, judgement. Vibration and excitation are given in ``data`` or its own."""
 
-    folder: Path
-    vibration: Path
-    excitation: Path
-    known: Path
-    own: bool  # vibration and excitation are the experiment's own
-    config = _file("config.yaml", "The composed configuration.")
+    config: Config
+    made: dict[str, tuple[Any, Any]] = field(default_factory=dict)
+
+    folder = property(lambda self: Path(self.config.output), doc="Where its files lie.")
+    vibration = property(lambda self: Path(self.config.data.vibration or self.folder / "vibration.parquet"))
+    excitation = property(lambda self: Path(self.config.data.excitation or self.folder / "excitation.csv"))
+    own = property(
+        lambda self: not (self.config.data.vibration or self.config.data.excitation),
+        doc="Whether vibration and excitation are the experiment's own.",
+    )
+    known = _file("known_coefficients.csv", "What it takes as known.")
+    configuration = _file("config.yaml", "The composed configuration.")
     modelled = _file("modelled_coefficients.csv", "The truth of modelled data; training never reads it.")
     identified = _file("identified_coefficients.csv", "The answer of training.")
     history = _file("history.csv", "Loss over the steps of training.")
@@ -62,87 +69,7 @@ class Workspace:
 
     def figure(self, name: str) -> Path:
         """A figure's path."""
-        return self.folder / "figures" / f"{name}.png"
-
-
-def locate_files(config: Config) -> Workspace:
-    """Return the places of the experiment's files, which may not be there yet."""
-    folder, data = Path(config.output), config.data
-    return Workspace(
-        folder,
-        Path(data.vibration or folder / "vibration.parquet"),
-        Path(data.excitation or folder / "excitation.csv"),
-        folder / "known_coefficients.csv",
-        own=not (data.vibration or data.excitation),
-    )
-
-
-def require_own(work: Workspace, stage: str) -> None:
-    """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
-    if not work.own:
-        raise DataError(
-            f"{stage} must write the experiment's own files, but data.vibration or data.excitation names others: leave "
-            "them out"
-        )
-
-
-def hash_machine(config: Config) -> str:
-    """Return the identity of what data are generated from: the machine without its recordings."""
-    kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance", "as_built"}
-    # Without conditions and supports, it is the machine that it was before there were some.
-    if config.machine.operating:
-        kept.add("operating")
-    parts = config.machine.model_dump(mode="json", include=kept)
-    parts["rotor"] = {key: value for key, value in parts["rotor"].items() if key != "supports" or value}
-    return hash_json(parts)
-
-
-def hash_origin(config: Config, work: Workspace) -> str:
-    """:func:`hash_machine` and the identity of the files generated beside the vibration, which is written last.
-
-    Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
-    """
-    return f"{hash_machine(config)} {hash_file(work.excitation)} {hash_file(work.known)}"
-
-
-def write_data(
-    config: Config,
-    data: VibrationDataset,
-    known: BearingTable | None,
-    modelled: BearingTable | None,
-    generated_for: str | None = None,
-) -> list[Path]:
-    """Write the experiment's own data; the vibration comes last, and is the last of the files.
-
-    Coefficients of data that were there before go. ``generated_for`` is the fingerprint of the rotor that generated
-    data are of.
-    """
-    files = locate_files(config)
-    written = [write_excitation(files.excitation, data)]
-    given = list_known(config, known.nodes) if known else None
-    for path, table, names in ((files.known, known, given), (files.modelled, modelled, None)):
-        if table is None:
-            path.unlink(missing_ok=True)
-        else:
-            written.append(write_coefficients(path, table, names))
-    marks = {"rotor": generated_for, "origin": hash_origin(config, files)} if generated_for else None
-    return [*written, write_vibration(files.vibration, data, marks)]
-
-
-# --- what its stages make of it ----------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Analysis:
-    """A configuration, and what :func:`made_once` keeps: measurement, diagnosis, answer, twin, judgement."""
-
-    config: Config
-    made: dict[str, tuple[Any, Any]] = field(default_factory=dict)
-
-    @property
-    def files(self) -> Workspace:
-        """The experiment's files, which may not be there yet."""
-        return locate_files(self.config)
+        return Path(self.folder / "figures" / f"{name}.png")
 
     def at(self, config: Config) -> Analysis:
         """That of another stage; what was made is kept where nothing else of the configuration differs."""
@@ -164,16 +91,70 @@ class Analysis:
             self.run(stage)
 
 
+def require_own(analysis: Analysis, stage: str) -> None:
+    """Raise DataError where ``data`` names files: a stage must not write over what a user made."""
+    if not analysis.own:
+        raise DataError(
+            f"{stage} must write the experiment's own files, but data.vibration or data.excitation names others: leave "
+            "them out"
+        )
+
+
+def hash_machine(config: Config) -> str:
+    """Return the identity of what data are generated from: the machine without its recordings."""
+    kept = {"rotor", "bearings", "probes", "speeds", "runs", "residual_unbalance", "as_built"}
+    # Without conditions and supports, it is the machine that it was before there were some.
+    if config.machine.operating:
+        kept.add("operating")
+    parts = config.machine.model_dump(mode="json", include=kept)
+    parts["rotor"] = {key: value for key, value in parts["rotor"].items() if key != "supports" or value}
+    return hash_json(parts)
+
+
+def hash_origin(analysis: Analysis) -> str:
+    """:func:`hash_machine` and the identity of the files generated beside the vibration, which is written last.
+
+    Files of two generations, as an interrupted ``generate`` leaves them, do not fit each other.
+    """
+    return f"{hash_machine(analysis.config)} {hash_file(analysis.excitation)} {hash_file(analysis.known)}"
+
+
+def write_data(
+    analysis: Analysis,
+    data: VibrationDataset,
+    known: BearingTable | None,
+    modelled: BearingTable | None,
+    generated_for: str | None = None,
+) -> list[Path]:
+    """Write the experiment's own data; the vibration comes last, and is the last of the files.
+
+    Coefficients of data that were there before go. ``generated_for`` is the fingerprint of the rotor that generated
+    data are of.
+    """
+    written = [write_excitation(analysis.excitation, data)]
+    given = list_known(analysis.config, known.nodes) if known else None
+    for path, table, names in ((analysis.known, known, given), (analysis.modelled, modelled, None)):
+        if table is None:
+            path.unlink(missing_ok=True)
+        else:
+            written.append(write_coefficients(path, table, names))
+    marks = {"rotor": generated_for, "origin": hash_origin(analysis)} if generated_for else None
+    return [*written, write_vibration(analysis.vibration, data, marks)]
+
+
+# --- what its stages make of it ----------------------------------------------------------------------
+
+
 def made_once(*sources: str) -> Callable[[Callable[[Analysis], _T]], Callable[[Analysis], _T]]:
     """What the function makes is kept by the analysis until one of the ``sources`` is written again: names of files of
-    :class:`Workspace`."""
+    :class:`Analysis`."""
 
     def decorate(make: Callable[[Analysis], _T]) -> Callable[[Analysis], _T]:
         """``make``, whose answer is kept."""
 
         @wraps(make)
         def look_up(analysis: Analysis) -> _T:
-            paths = [getattr(analysis.files, name) for name in sources]
+            paths = [getattr(analysis, name) for name in sources]
             marks, value = analysis.made.get(make.__name__, (None, None))
             if marks != list(map(_mark, paths)):
                 value = make(analysis)  # which may write the sources first
@@ -242,7 +223,7 @@ def record(analysis: Analysis, run: Callable[[Analysis], StageRecord]) -> None:
         experiment=config.name if config.stage != "check" else "check",  # it looks at all of them
         stage=config.stage,
         title=" ".join((config.stage, config.name, *config.overrides)),
-        data=None if config.stage == "compare" else analysis.files.vibration,  # which makes data of its own
+        data=None if config.stage == "compare" else analysis.vibration,  # which makes data of its own
         started=started,
         ended=time.time(),
         parameters=parameters,

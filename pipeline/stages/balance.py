@@ -41,7 +41,7 @@ def run(analysis: Analysis) -> StageRecord:
     """``balance.csv``, ``balance.json`` and ``figures/balance.png``; on screen the unbalance of each condition, and the
     balance sheet where ``machine.balance`` says where weights can be put."""
     config = analysis.config
-    measurement, work = prepare(analysis), analysis.files
+    measurement = prepare(analysis)
     (fitted, fingerprint), file = load_models(analysis), config.balance.records
     models = dict(fitted.models)
     source = SourceUnits(config.machine.recordings)
@@ -70,9 +70,9 @@ def run(analysis: Analysis) -> StageRecord:
     else:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
-        write_table(work.folder / "balance.csv", rows),
-        write_json(work.folder / "balance.json", summary),
-        draw_balance(work.figure("balance"), method, by_method[method], planes, source),
+        write_table(analysis.folder / "balance.csv", rows),
+        write_json(analysis.folder / "balance.json", summary),
+        draw_balance(analysis.figure("balance"), method, by_method[method], planes, source),
     ]
     return StageRecord(summary, {"data_fingerprint": fingerprint}, written)
 

@@ -103,18 +103,21 @@ def diagnose_laws(analysis: Analysis) -> dict[str, Any]:
     if not measurement.laws or not config.model.has_laws:
         return {}
     information, warmer = inform(measurement), try_warmer(measurement)
-    header, further = ["number", "guess", "known to, %", "with these data, %"], None
-    if warmer is not None:
-        further = 100 * warmer[1].deviation
-        header.append(f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %")
-    columns = [100 * information.prior, 100 * information.deviation, *([] if further is None else [further])]
-    summary, rows = summarize_numbers(information, further), []
-    for i, number in enumerate(list_numbers(summary, config)):
-        guess = f"{write_number(number['guess'])} {number['unit']}".strip()
-        shown = [number["name"], guess, *(write_rough(column[i]) for column in columns)]
-        rows.append([*shown, "" if number["determined"] else "not told by these data"])
+    columns = {"known to, %": 100 * information.prior, "with these data, %": 100 * information.deviation}
+    if warmer:
+        columns[f"with {write_condition(OIL_TEMPERATURE, warmer[0])} as well, %"] = 100 * warmer[1].deviation
+    summary = summarize_numbers(information, warmer and 100 * warmer[1].deviation)
+    rows = [
+        [
+            number["name"],
+            f"{write_number(number['guess'])} {number['unit']}".strip(),
+            *(write_rough(column[i]) for column in columns.values()),
+            "" if number["determined"] else "not told by these data",
+        ]
+        for i, number in enumerate(list_numbers(summary, config))
+    ]
     title = f"numbers of the bearing laws at their guesses, at {config.describe_noise()} (one standard deviation)"
-    table(f"{config.name}: {title}", [*header, ""], rows)
+    table(f"{config.name}: {title}", ["number", "guess", *columns, ""], rows)
     for sentence in describe_open(information):
         say(f"{config.name}: {sentence}")
     try:

@@ -73,9 +73,8 @@ def _print_changed(checks: list[Check], share: float) -> None:
         for c in checks
         if c.has_changed(share)
     ]
-    if rows:
-        title = f"changed by more than {100 * share:g} % since the committed metrics"
-        table(title, ["experiment", "metric", "committed", "now", "limit", ""], rows)
+    title = f"changed by more than {100 * share:g} % since the committed metrics"
+    table(title, ["experiment", "metric", "committed", "now", "limit", ""], rows)
 
 
 def _commit(config: Config, failed: list[Check], checks: list[Check]) -> None:

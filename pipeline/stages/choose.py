@@ -32,7 +32,7 @@ def run(analysis: Analysis) -> StageRecord:
     judged = judge_models(measurement, setups, lambda what: say(f"{config.name}: fits {what}"))
     chosen = choose(judged)
     _print(config, judged, chosen)
-    folder = analysis.files.folder
+    folder = analysis.folder
     summary = {
         "chosen": chosen.name,
         "models": {model.name: asdict(model) | {"rejected": model.rejected} for model in judged},
@@ -69,7 +69,9 @@ def _print(config: Config, judged: tuple[Judged, ...], chosen: Judged) -> None:
     for model in judged:
         if model.rejected:
             say(f"{config.name}: the readings contradict {model.name} (probability {write_rough(model.probability)})")
-    text = "the simplest that is not contradicted and predicts as well as the best"
-    if chosen.rejected:
-        text = "it predicts best, but the readings contradict every model: check rotor, probes and weights"
-    say(f"{config.name}: choose model={_MODELS[chosen.name]}: {text}")
+    why = (
+        "it predicts best, but the readings contradict every model: check rotor, probes and weights"
+        if chosen.rejected
+        else "the simplest that is not contradicted and predicts as well as the best"
+    )
+    say(f"{config.name}: choose model={_MODELS[chosen.name]}: {why}")

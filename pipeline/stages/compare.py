@@ -29,7 +29,7 @@ def run(analysis: Analysis) -> StageRecord:
 
     Raises ConfigError for measured data, whose truth nobody knows.
     """
-    config, folder = analysis.config, analysis.files.folder
+    config, folder = analysis.config, analysis.folder
     if config.machine.recordings.recorded:
         raise ConfigError(
             "compare must have a modelled machine, whose coefficients are known, but the data are measured: "
@@ -62,7 +62,7 @@ def run(analysis: Analysis) -> StageRecord:
         write_table(folder / "comparison.csv", tabulate(comparison)),
         write_json(folder / "comparison.json", summary),
         write_text(folder / "comparison.md", write_markdown(comparison)),
-        draw_comparison(analysis.files.figure("comparison"), comparison),
+        draw_comparison(analysis.figure("comparison"), comparison),
     ]
     tags = {"rotor_fingerprint": machine.rotor.fingerprint, "data_fingerprint": machine.vibration.fingerprint}
     return StageRecord(summary, tags, written)

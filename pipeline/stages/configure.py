@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.config.schema import Config
 from pipeline.files import hash_file, write_text
 from pipeline.reporting.console import say
-from pipeline.stages.analysis import Analysis, locate_files
+from pipeline.stages.analysis import Analysis
 from pipeline.tracking import StageRecord
 
 _HOW: Any = {
@@ -34,4 +34,4 @@ def write_configuration(config: Config) -> Path:
 
     mapping = config.model_dump(mode="json", exclude=_HOW)
     mapping["rotor_file"] = hash_file(Path(config.machine.rotor.file)) if config.machine.rotor.file else ""
-    return write_text(locate_files(config).config, yaml.safe_dump(mapping, sort_keys=False))
+    return write_text(Analysis(config).configuration, yaml.safe_dump(mapping, sort_keys=False))

@@ -45,7 +45,7 @@ def run(analysis: Analysis) -> StageRecord:
     config, rotor = analysis.config, load_rotor(analysis.config.machine.rotor)
     design = reach_numbers if config.model.has_laws else reach_accuracy if config.design.accuracy else _choose_runs
     chosen, speeds, summary, metrics, overrides = design(config, rotor)
-    folder = analysis.files.folder
+    folder = analysis.folder
     about = {"runs": [acting[0].run for acting in chosen], "stated_noise": config.stated_noise.model_dump()}
     written = [
         write_text(folder / "designed_excitation.yaml", format_runs(config, chosen, speeds)),

@@ -35,7 +35,7 @@ from pipeline.twin.twin import plan_twin
 
 def run(analysis: Analysis) -> StageRecord:
     """``diagnosis.json``, ``diagnosis.csv`` (a row a bearing and speed) and a figure over speed."""
-    config, measurement, work = analysis.config, prepare(analysis), analysis.files
+    config, measurement = analysis.config, prepare(analysis)
     use_threads(config)
     noise, numbers = config.describe_noise(), diagnose_laws(analysis)
     diagnosis = diagnose(analysis)
@@ -63,11 +63,11 @@ def run(analysis: Analysis) -> StageRecord:
         if series := describe_series(combined, measurement.rotor.unseen_casings(measurement.dataset.channels)):
             warn(f"{config.name}: {series}")
     written = [
-        write_json(work.folder / "diagnosis.json", summary),
+        write_json(analysis.folder / "diagnosis.json", summary),
         write_table(
-            work.folder / "diagnosis.csv", tabulate_diagnosis(diagnosis, judged, measurement.dataset.operating)
+            analysis.folder / "diagnosis.csv", tabulate_diagnosis(diagnosis, judged, measurement.dataset.operating)
         ),
-        draw_diagnosis(work.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise),
+        draw_diagnosis(analysis.figure("diagnosis"), diagnosis.reports, diagnosis.relative, noise),
         *_write_budget(analysis),
     ]
     return StageRecord(summary, {"data_fingerprint": measurement.dataset.fingerprint}, written)
@@ -75,7 +75,7 @@ def run(analysis: Analysis) -> StageRecord:
 
 def _write_budget(analysis: Analysis) -> list[Path]:
     """The systematic budget of ``identify.model_parameters``; none without them, or where a speed tells too little."""
-    config, measurement, work = analysis.config, prepare(analysis), analysis.files
+    config, measurement = analysis.config, prepare(analysis)
     stated = config.identify.model_parameters.deviations
     every = budget_percent(measurement, diagnose(analysis).expected) if stated else None
     if every is None:
@@ -87,6 +87,6 @@ def _write_budget(analysis: Analysis) -> list[Path]:
     print_budget(config.name, coefficients, named)
     columns = {f"{kind}_percent": every[kind] for kind in stated}
     return [
-        write_table(work.folder / "systematic_budget.csv", {"coefficient": coefficients, **columns}),
-        draw_budget(work.figure("systematic_budget"), coefficients, named),
+        write_table(analysis.folder / "systematic_budget.csv", {"coefficient": coefficients, **columns}),
+        draw_budget(analysis.figure("systematic_budget"), coefficients, named),
     ]

@@ -40,18 +40,17 @@ from pipeline.write_numbers import write_number
 
 def run(analysis: Analysis) -> StageRecord:
     """Errors, their summary (worst bearing, parts per million), least-squares coefficients, Figures 3 and 4."""
-    config, files, answer = analysis.config, analysis.files, restore(analysis)
+    config, answer = analysis.config, restore(analysis)
     table, names = answer.stated, answer.names
     modelled, quality = load_modelled(config, answer.measurement), load_quality(config)
     diagnosis = diagnose(analysis)
     conventional = replace(diagnosis.expected, deviation=None) if diagnosis.by_least_squares else None
-    metrics: dict[str, object] = {"coefficients": {}, **quality}
     summary: dict[str, object] = {}
     written: list[Path] = []
     if "residual" in quality:
         summary["residual_ppm"] = 1e6 * quality["residual"]["mean_over_bearing_force"]
     if conventional is not None:
-        written.append(write_coefficients(files.folder / "least_squares_coefficients.csv", conventional))
+        written.append(write_coefficients(analysis.folder / "least_squares_coefficients.csv", conventional))
     if not (bounded := table.bounded).all():
         rpm = to_rpm(table.speeds[~bounded])
         warn(
@@ -60,27 +59,26 @@ def run(analysis: Analysis) -> StageRecord:
         table = table.at(bounded)
         modelled = None if modelled is None else modelled.at(bounded)
         conventional = None if conventional is None else conventional.at(bounded)
-    errors = None if modelled is None else measure_errors(table, modelled, names)
-    beside = None if modelled is None or conventional is None else measure_errors(conventional, modelled, names)
-    if modelled is not None and errors is not None:
+    errors, beside = (
+        {} if modelled is None or each is None else measure_errors(each, modelled, names)
+        for each in (table, conventional)
+    )
+    shown, metrics = Coefficients(table, modelled, names), {"coefficients": errors, **quality}
+    if modelled is not None:
         summary["mean_error_ppm"] = {name: 1e4 * find_worst_mean(errors, name) for name in config.identify.named()}
-        metrics["coefficients"] = errors
-        if beside is not None:
-            metrics["least_squares"] = beside
-        if table.deviation is not None:
-            metrics["within_95_percent_interval"] = list_coverage(table, modelled, names)
-    shown = Coefficients(table, modelled, names)
+        metrics |= {"least_squares": beside} if beside else {}
+        metrics |= {"within_95_percent_interval": list_coverage(table, modelled, names)} if shown.stated else {}
     rows = make_error_table(shown, errors, beside)
-    written.append(write_table(files.folder / "coefficient_errors.csv", rows))
+    written.append(write_table(analysis.folder / "coefficient_errors.csv", rows))
     print_error_table(config.name, rows)
     if "determined" in quality:
         say(f"{config.name}: {describe_verdicts(quality)}")
     loss = loss_of(config.loss)
     if modelled is None or loss.weighs_noise:
         say(f"{config.name}: {describe_quality(quality)}")
-    if "physical_numbers" in quality:
+    if numbers := quality.get("physical_numbers"):
         print_laws(config, quality)
-        metrics["physical_numbers"] = judge_numbers(quality["physical_numbers"], config.machine)
+        metrics["physical_numbers"] = judge_numbers(numbers, config.machine)
     elsewhere = model_unmeasured(config, answer.table.speeds)
     beyond = {} if elsewhere is None else measure_unmeasured(answer.model.table(elsewhere), elsewhere, names)
     for state, error in beyond.items():
@@ -94,12 +92,12 @@ def run(analysis: Analysis) -> StageRecord:
     if loss.weighs_noise:
         metrics["held_out"] = _judge_held_out(config, answer)
     written += [
-        draw_history(files.figure("training"), files.history, loss.label),
-        *(draw_coefficients(files.figure(name), shown, letter) for name, letter in _FIGURES.items()),
-        write_json(files.metrics, metrics),
-        write_json(files.folder / "summary.json", summary),
+        draw_history(analysis.figure("training"), analysis.history, loss.label),
+        *(draw_coefficients(analysis.figure(name), shown, letter) for name, letter in _FIGURES.items()),
+        write_json(analysis.metrics, metrics),
+        write_json(analysis.folder / "summary.json", summary),
     ]
-    return StageRecord(metrics, answer.tags, [*written, files.identified])
+    return StageRecord(metrics, answer.tags, [*written, analysis.identified])
 
 
 _FIGURES = {"identified": "", "stiffness": "k", "damping": "c"}
@@ -110,8 +108,11 @@ def _judge_held_out(config: Config, answer: Answer) -> dict[str, dict[str, Any]]
     compared = compare_held_out(answer.measurement, answer.table, answer.unbalance, config.training)
     for what, held_out in compared.items():
         model, rival = held_out["model_error_percent"], held_out["rival_error_percent"]
-        told = "no prediction, since coefficients leave all bounds where nothing was fitted"
-        told = told if model is None else f"predicted to {write_number(model, digits=3)} % (root mean square)"
+        told = (
+            "no prediction, since coefficients leave all bounds where nothing was fitted"
+            if model is None
+            else f"predicted to {write_number(model, digits=3)} % (root mean square)"
+        )
         said = "no answer" if rival is None else f"{write_number(rival, digits=3)} %"
         say(f"{config.name}: held-out {what}: {told}; by {held_out['rival']}: {said}")
     return compared

@@ -15,9 +15,9 @@ from pipeline.tracking import StageRecord
 
 def run(analysis: Analysis) -> StageRecord:
     """The folder ``export``, which takes the place of an earlier one as a whole. Trains first where there is no fit."""
-    config, answer, work = analysis.config, restore(analysis), analysis.files
+    config, answer = analysis.config, restore(analysis)
     states = [export_at(config, answer, state) for state in list_states(config, answer.measurement.dataset)]
-    physical = list_numbers(read_json(work.training).get("physical_numbers", {}), config)
+    physical = list_numbers(read_json(analysis.training).get("physical_numbers", {}), config)
     numbers = [
         Number(name=number["label"], value=number["value"], std=number["deviation"], unit=number["unit"])
         for number in physical
@@ -25,7 +25,7 @@ def run(analysis: Analysis) -> StageRecord:
     notes: list[str] = []
     reservation = say_reservation(analysis)
     folder = write_folder(
-        work.folder / "export",
+        analysis.folder / "export",
         lambda beside: notes.extend(write_exports(beside, config, answer.measurement, states, numbers, reservation)),
     )
     written = sorted(folder.iterdir())

@@ -18,22 +18,22 @@ from pipeline.write_numbers import write_number
 
 def run(analysis: Analysis) -> StageRecord:
     """Vibration, excitation, and the modelled and the known coefficients."""
-    config, work = analysis.config, analysis.files
-    require_own(work, "generate")
-    marks = read_marks(work.vibration)
+    config = analysis.config
+    require_own(analysis, "generate")
+    marks = read_marks(analysis.vibration)
     if marks is not None and "origin" not in marks:
         raise DataError(
-            f"generate must not replace what it did not write, but '{work.vibration}' was made elsewhere: move it and "
-            "give it as data.vibration=..., or choose another folder with output=FOLDER"
+            f"generate must not replace what it did not write, but '{analysis.vibration}' was made elsewhere: move it "
+            "and give it as data.vibration=..., or choose another folder with output=FOLDER"
         )
     rotor, bearings, complete = model_machine(config)
     dataset = read_probes(config, rotor, complete)
-    *written, _ = write_data(config, dataset, bearings, bearings, rotor.fingerprint)
+    *written, _ = write_data(analysis, dataset, bearings, bearings, rotor.fingerprint)
     # A tenth of the speeds shows the trend; the eigenvalues of all would take longer than the vibration.
     margin = measure_stability(find_modes(rotor, bearings.at(np.arange(0, len(dataset.speeds), 10))))
     say(
         f"{config.name}: {len(dataset.runs)} runs, {describe_points(dataset)}, {len(dataset.channels)} channels in "
-        f"'{work.vibration}'\n" + _describe_margin(margin)
+        f"'{analysis.vibration}'\n" + _describe_margin(margin)
     )
     for name in find_idle(bearings):
         warn(
@@ -45,12 +45,13 @@ def run(analysis: Analysis) -> StageRecord:
             f"the modelled rotor is unstable somewhere (growth {write_number(margin.largest_growth, digits=3)} 1/s): "
             "its steady vibration can't be measured"
         )
-    stability = {
-        "largest_growth": margin.largest_growth,
-        "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
-    }
     return StageRecord(
-        metrics={"stability": stability},
+        metrics={
+            "stability": {
+                "largest_growth": margin.largest_growth,
+                "smallest_logarithmic_decrement": margin.smallest_logarithmic_decrement,
+            }
+        },
         tags={"data_fingerprint": dataset.fingerprint, "rotor_fingerprint": rotor.fingerprint},
         files=written,
     )

@@ -48,7 +48,7 @@ def run(analysis: Analysis) -> StageRecord:
     kept = {name: "text" for name in list_columns(Path(file), text) if name not in vectors}
     source = SourceUnits(recordings)
     table = tabulate_predicted(read_table(Path(file), kept, text=text), records, predicted, source, pairs, method)
-    path = write_table(analysis.files.folder / "predicted_records.csv", table)
+    path = write_table(analysis.folder / "predicted_records.csv", table)
     others = np.array([condition != config.predict.reference for condition in records.conditions])
     measured, metrics = predicted.measured & others[:, None], {}
     message = f"{config.name}: {len(records.speeds)} records of '{file}' predicted by {method} in '{path}'"
@@ -82,7 +82,7 @@ def load_models(analysis: Analysis) -> tuple[Fitted, str]:
 
 def _load_physical(analysis: Analysis, conditions: Conditions) -> Physical | None:
     """The model that was trained on these conditions; None without one, or where its coefficients are no constants."""
-    if analysis.config.model.varies or not analysis.files.training.exists():
+    if analysis.config.model.varies or not analysis.training.exists():
         return None
     measurement, answer = prepare(analysis), restore(analysis)
     if answer.uncertainty is None or not measurement.drift:

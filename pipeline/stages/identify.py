@@ -18,9 +18,9 @@ def run(analysis: Analysis) -> StageRecord:
     Raises PipelineError for data that can't be read, and, with a report of these alone, for coefficients that they do
     not determine.
     """
-    config, work, started = analysis.config, analysis.files, time.perf_counter()
+    config, started = analysis.config, time.perf_counter()
     made, skipped = [], []
-    source = [config.machine.recordings.made_by] if work.own else []
+    source = [config.machine.recordings.made_by] if analysis.own else []
     for stage in (*source, "diagnose"):
         analysis.run(stage)
     try:
@@ -31,13 +31,13 @@ def run(analysis: Analysis) -> StageRecord:
     for stage, file in RESULTS.items():
         try:
             analysis.run(stage)
-            made.append(work.folder / file)
+            made.append(analysis.folder / file)
         except PipelineError as error:
-            (work.folder / file).unlink(missing_ok=True)
+            (analysis.folder / file).unlink(missing_ok=True)
             skipped.append(stage)
             warn(f"{config.name}: stage={stage} is skipped: {error}")
     also = f"; skipped: {', '.join(skipped)} (the reasons are above; exit code 1)" if skipped else ""
-    files = ", ".join(f"'{path}'" for path in (work.identified, *made))
+    files = ", ".join(f"'{path}'" for path in (analysis.identified, *made))
     say(f"{config.name}: results after {time.perf_counter() - started:.0f} s in {files}{also}")
     metrics, tags = {"identify.skipped": float(len(skipped))}, {"skipped": ", ".join(skipped)}
     return StageRecord(metrics, tags, exit_code=int(bool(skipped)))

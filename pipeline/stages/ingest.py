@@ -15,7 +15,7 @@ from pipeline.reporting.console import say, warn
 from pipeline.reporting.ingested import Ingested, describe_records, describe_responses, describe_runs, print_ingested
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_modelled_bearings, load_rotor, place_probes, require_nodes
-from pipeline.stages.analysis import Analysis, Workspace, require_own, write_data
+from pipeline.stages.analysis import Analysis, require_own, write_data
 from pipeline.tracking import StageRecord
 
 
@@ -25,8 +25,8 @@ def run(analysis: Analysis) -> StageRecord:
     Synthetic recordings have ``modelled_coefficients.csv``, too, which training never reads.
     Raises ConfigError where the configuration says nothing to read.
     """
-    config, work, recordings = analysis.config, analysis.files, analysis.config.machine.recordings
-    _require_own_work(work)
+    config, recordings = analysis.config, analysis.config.machine.recordings
+    _require_own_work(analysis)
     if not recordings.recorded:
         raise ConfigError(
             "ingest must have recordings to read, but machine.recordings.format is none: say in a machine file "
@@ -48,12 +48,12 @@ def run(analysis: Analysis) -> StageRecord:
     known = load_known(config, recordings.known, "machine.recordings.known", rotor.bearing_nodes, *points)
     modelled = load_modelled_bearings(machine.rotor, machine.bearings, *points) if recordings.synthetic else None
     written = [
-        *write_data(config, data, known, modelled),
-        write_json(work.folder / "ingest.json", ingested.summary),
-        *ingested.draw(work.figure),
+        *write_data(analysis, data, known, modelled),
+        write_json(analysis.folder / "ingest.json", ingested.summary),
+        *ingested.draw(analysis.figure),
     ]
-    print_ingested(config.name, recordings, ingested, work.vibration)
-    if not work.known.exists():
+    print_ingested(config.name, recordings, ingested, analysis.vibration)
+    if not analysis.known.exists():
         say(
             "some coefficients are not identified (identify.unknowns) and must be known before a fit: give "
             "machine.recordings.known"
@@ -67,14 +67,14 @@ def run(analysis: Analysis) -> StageRecord:
     )
 
 
-def _require_own_work(work: Workspace) -> None:
+def _require_own_work(analysis: Analysis) -> None:
     """Raise DataError for files that ingest did not write."""
-    require_own(work, "ingest")
-    marks = read_marks(work.vibration) or {}
-    if work.vibration.exists() and ("schema" not in marks or "origin" in marks):
+    require_own(analysis, "ingest")
+    marks = read_marks(analysis.vibration) or {}
+    if analysis.vibration.exists() and ("schema" not in marks or "origin" in marks):
         raise DataError(
-            f"ingest must not replace what it did not write, but '{work.vibration}' was generated or made elsewhere: "
-            "choose another folder with output=FOLDER"
+            f"ingest must not replace what it did not write, but '{analysis.vibration}' was generated or made "
+            "elsewhere: choose another folder with output=FOLDER"
         )
 
 
@@ -95,6 +95,6 @@ def _read_runs(config: Config, recordings: MeasuredConfig, rotor: RotorModel) ->
         *measured.notes,
         *note_whirl(measured.recorded),
         *note_alike(measured.dataset),
+        *note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping),
     ]
-    notes += note_size(measured.recorded, rotor, model.initial_stiffness, model.initial_damping)
     return describe_runs(recordings, measured, notes)

@@ -21,7 +21,7 @@ from pipeline.problem.diagnosis import Diagnosis
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.stored import load_rotor, require_nodes
-from pipeline.stages.analysis import Analysis, Workspace, hash_machine, hash_origin, locate_files, made_once
+from pipeline.stages.analysis import Analysis, hash_machine, hash_origin, made_once
 
 
 def load_measurement(config: Config) -> Measurement:
@@ -31,19 +31,19 @@ def load_measurement(config: Config) -> Measurement:
 
     Raises DataError for files that break their laws, or that were generated from another configuration.
     """
-    files, section = locate_files(config), config.machine.rotor
-    _require_data(config, *([files.known] if config.data.known is None else []))
-    if files.own:
-        _require_generated_from(config, files)
+    analysis, section = Analysis(config), config.machine.rotor
+    _require_data(analysis, *([analysis.known] if config.data.known is None else []))
+    if analysis.own:
+        _require_generated_from(analysis)
     dataset = load_dataset(config)
     if section.file is None:
-        known = _read_known(config, files, section.bearing_nodes, dataset)
+        known = _read_known(analysis, section.bearing_nodes, dataset)
         rotor = load_rotor(section)
     else:  # which says itself how many nodes there are, and where the bearings stand
         rotor = load_rotor(section)
-        require_nodes_of(dataset, rotor, files.vibration, files.excitation)
-        known = _read_known(config, files, rotor.bearing_nodes, dataset)
-    require_made_for(files.vibration, rotor)
+        require_nodes_of(dataset, rotor, analysis.vibration, analysis.excitation)
+        known = _read_known(analysis, rotor.bearing_nodes, dataset)
+    require_made_for(analysis.vibration, rotor)
     require_nodes(rotor, "identify.unbalance_planes", config.identify.unbalance_planes)
     return build_measurement(config, rotor, dataset, known)
 
@@ -53,43 +53,44 @@ def load_dataset(config: Config) -> VibrationDataset:
 
     Raises DataError for files that break their laws.
     """
-    files, section = locate_files(config), config.machine.rotor
-    _require_data(config)
+    analysis, section = Analysis(config), config.machine.rotor
+    _require_data(analysis)
     # Conditions of the experiment's own files were joined when they were written.
-    same = None if files.own else config.data.same_conditions
+    same = None if analysis.own else config.data.same_conditions
     n_nodes = section.n_nodes if section.file is None else None
-    return read_measured(files.vibration, files.excitation, config.data.baseline, n_nodes, same, section.n_casings)
+    return read_measured(
+        analysis.vibration, analysis.excitation, config.data.baseline, n_nodes, same, section.n_casings
+    )
 
 
-def _require_data(config: Config, *beside: Path) -> None:
+def _require_data(analysis: Analysis, *beside: Path) -> None:
     """Make the experiment's own data where they, or files ``beside`` them, are missing."""
-    files = locate_files(config)
-    if files.own:
-        Analysis(config).require(config.machine.recordings.made_by, files.vibration, files.excitation, *beside)
+    if analysis.own:
+        analysis.require(analysis.config.machine.recordings.made_by, analysis.vibration, analysis.excitation, *beside)
 
 
-def _read_known(config: Config, files: Workspace, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
+def _read_known(analysis: Analysis, nodes: tuple[int, ...], dataset: VibrationDataset) -> BearingTable:
     """From ``data.known``, or as the experiment's own data were made. Raises ConfigError where nothing gives them."""
-    given = config.data.known
-    if given is None and files.own and files.known.exists():
-        return read_coefficients(files.known, nodes, dataset.speeds, list_known(config, nodes), dataset.operating)
+    config, given = analysis.config, analysis.config.data.known
+    if given is None and analysis.own and analysis.known.exists():
+        return read_coefficients(analysis.known, nodes, dataset.speeds, list_known(config, nodes), dataset.operating)
     known = load_known(config, given, "data.known", nodes, dataset.speeds, dataset.operating)
     return require_known(known, config, nodes)
 
 
-def _require_generated_from(config: Config, files: Workspace) -> None:
-    made_from = (read_marks(files.vibration) or {}).get("origin")
-    if made_from is not None and made_from.split(" ")[0] != hash_machine(config):
+def _require_generated_from(analysis: Analysis) -> None:
+    made_from = (read_marks(analysis.vibration) or {}).get("origin")
+    if made_from is not None and made_from.split(" ")[0] != hash_machine(analysis.config):
         raise DataError(
-            f"'{files.vibration}' must have been generated from the configured machine, but it has "
+            f"'{analysis.vibration}' must have been generated from the configured machine, but it has "
             "changed since: run stage=generate with the same overrides first, or choose another folder "
             "with output=FOLDER"
         )
-    if made_from not in (None, hash_origin(config, files)):
+    if made_from not in (None, hash_origin(analysis)):
         raise DataError(
-            f"'{files.vibration}', '{files.excitation}' and '{files.known}' must come from one stage=generate, but "
-            "they do not belong together: run it again, or give files of your own as data.vibration=... and "
-            "data.excitation=..."
+            f"'{analysis.vibration}', '{analysis.excitation}' and '{analysis.known}' must come from one "
+            "stage=generate, but they do not belong together: run it again, or give files of your own as "
+            "data.vibration=... and data.excitation=..."
         )
 
 
@@ -124,10 +125,9 @@ def expect(analysis: Analysis) -> BearingTable:
 @made_once(*ANSWER)
 def restore(analysis: Analysis) -> Answer:
     """What was identified, training first where it is missing. Raises DataError where other data trained it."""
-    files = analysis.files
     measurement = prepare(analysis)
-    analysis.require("train", *files.model, files.training, files.history)
-    return load_answer(files.folder, analysis.config.identify, measurement)
+    analysis.require("train", *analysis.model, analysis.training, analysis.history)
+    return load_answer(analysis.folder, analysis.config.identify, measurement)
 
 
 # --- what was identified, and the truth ------------------------------------------------------------
@@ -139,7 +139,7 @@ QUALITY = ("fit", "residual", "condition_number", "determined", "physical_number
 
 def load_quality(config: Config) -> dict[str, Any]:
     """Read how well the fit explains its readings. Raises DataError where ``training.json`` does not say it."""
-    path = locate_files(config).training
+    path = Analysis(config).training
     written = read_json(path, AGAIN)
     quality = {name: written[name] for name in QUALITY if name in written}
     if not quality:
@@ -149,8 +149,8 @@ def load_quality(config: Config) -> dict[str, Any]:
 
 def load_modelled(config: Config, measurement: Measurement) -> BearingTable | None:
     """The truth of modelled data; None where there is none, as with measured data."""
-    files = locate_files(config)
-    if not files.own or not files.modelled.exists():
+    analysis = Analysis(config)
+    if not analysis.own or not analysis.modelled.exists():
         return None
     nodes, dataset = measurement.rotor.bearing_nodes, measurement.dataset
-    return read_coefficients(files.modelled, nodes, dataset.speeds, operating=dataset.operating)
+    return read_coefficients(analysis.modelled, nodes, dataset.speeds, operating=dataset.operating)

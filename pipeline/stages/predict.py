@@ -62,20 +62,18 @@ def run(analysis: Analysis) -> StageRecord:
         }
     summed = superpose_unseen(config.machine, measurement, twin)
     if not isinstance(summed, str) and "modelled" in vibration:
-        truth = vibration["modelled"].displacement
-        off = {direction: error_percent(summed[:, d], truth[:, d]) for d, direction in enumerate("xy")}
-        summary["influence_coefficients"] = {"error_percent": off}
+        pairs = zip("xy", summed.T, vibration["modelled"].displacement.T, strict=True)
+        summary["influence_coefficients"] = {"error_percent": {d: error_percent(*pair) for d, *pair in pairs}}
     print_twin(config, summary, vibration, at, twin.operating)
     _say_superposed(config, summed, summary, at)
-    work = analysis.files
     written = [
-        write_json(work.folder / "prediction.json", summary),
-        write_table(work.folder / "prediction.csv", tabulate_vibration(vibration, twin.operating)),
-        write_table(work.folder / "modes.csv", tabulate_modes(twin.behaviour, twin.operating)),
-        draw_time(work.figure("prediction_time"), vibration, at, name_state(twin.operating)),
-        draw_orbit(work.figure("prediction_orbit"), vibration, at, name_state(twin.operating)),
-        draw_response(work.figure("prediction_response"), vibration, name_state(twin.operating)),
-        write_figure(work.figure("campbell"), draw_modes(twin.behaviour, name_state(twin.operating))),
+        write_json(analysis.folder / "prediction.json", summary),
+        write_table(analysis.folder / "prediction.csv", tabulate_vibration(vibration, twin.operating)),
+        write_table(analysis.folder / "modes.csv", tabulate_modes(twin.behaviour, twin.operating)),
+        draw_time(analysis.figure("prediction_time"), vibration, at, name_state(twin.operating)),
+        draw_orbit(analysis.figure("prediction_orbit"), vibration, at, name_state(twin.operating)),
+        draw_response(analysis.figure("prediction_response"), vibration, name_state(twin.operating)),
+        write_figure(analysis.figure("campbell"), draw_modes(twin.behaviour, name_state(twin.operating))),
     ]
     return StageRecord(summary, restore(analysis).tags, written)
 

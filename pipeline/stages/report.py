@@ -10,7 +10,7 @@ from pipeline.errors import DataError, IdentifiabilityError
 from pipeline.files import read_json
 from pipeline.ingest.full_spectrum import FullSpectra, measure_full_spectra
 from pipeline.reporting.console import say, warn
-from pipeline.reporting.content import FitContent, ReportContent, describe_origin, read_reference
+from pipeline.reporting.content import ReportContent, describe_origin, read_reference
 from pipeline.reporting.report.files import write_page, write_pdf
 from pipeline.reporting.report.sections import list_sections
 from pipeline.stages.analysis import Analysis
@@ -26,13 +26,13 @@ _MOST_SPECTRA = 2
 
 def run(analysis: Analysis) -> StageRecord:
     """``report.html`` and ``report.pdf``."""
-    config, work, content = analysis.config, analysis.files, collect_content(analysis)
+    config, content = analysis.config, collect_content(analysis)
     sections = list_sections(content)
     title = f"Bearing identification: {config.name.replace('_', ' ')}"
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     head = config.machine.report.model_dump(exclude={"paper"}) | {"subject": config.description, "made": made}
     written = [
-        write(work.folder / f"report.{kind}", title, head, sections, config.machine.report.paper)
+        write(analysis.folder / f"report.{kind}", title, head, sections, config.machine.report.paper)
         for kind, write in (("html", write_page), ("pdf", write_pdf))
     ]
     without = "".join(f"\n  without {part}: {reason}" for part, reason in content.missing.items())
@@ -45,17 +45,26 @@ def collect_content(analysis: Analysis) -> ReportContent:
 
     Raises DataError for a reference table that breaks its laws.
     """
-    config, work, measurement = analysis.config, analysis.files, prepare(analysis)
+    config, measurement = analysis.config, prepare(analysis)
     reference = {} if config.report.reference is None else read_reference(Path(config.report.reference))
     missing: dict[str, str] = {}
-    fit = _read_fit(analysis, missing)
-    analysis.require("diagnose", work.folder / "diagnosis.json", behind=work.vibration)
+    # Training first where it is missing.
+    fit = attempt(
+        lambda this: collect_fit(this, load_modelled(config, restore(this).measurement), missing),
+        analysis,
+        "fit",
+        missing,
+        (IdentifiabilityError,),
+    )
+    if fit is None:
+        warn(f"{missing['fit']}\n{config.name}: the report has what was measured and the diagnosis alone")
+    analysis.require("diagnose", analysis.folder / "diagnosis.json", behind=analysis.vibration)
     names, judged = ["ingest", "diagnosis"], None
     if fit is not None:
-        attempt(lambda this: this.require("evaluate", work.metrics, behind=work.training), analysis, "errors", missing)
+        attempt(lambda this: this.require("evaluate", this.metrics, behind=this.training), analysis, "errors", missing)
         names = [*names, *(() if "errors" in missing else ("metrics",))]
         judged = attempt(load_judgement, analysis, "verdicts", missing)
-    contents = {name: work.folder / f"{name}.json" for name in names}
+    contents = {name: analysis.folder / f"{name}.json" for name in names}
     return ReportContent(
         config=config,
         measurement=measurement,
@@ -67,21 +76,11 @@ def collect_content(analysis: Analysis) -> ReportContent:
         origin=describe_origin(
             config,
             measurement,
-            (work.vibration, work.excitation, work.folder / "model.safetensors"),
+            (analysis.vibration, analysis.excitation, analysis.folder / "model.safetensors"),
             describe_provenance(),
         ),
         missing=missing,
     )
-
-
-def _read_fit(analysis: Analysis, missing: dict[str, str]) -> FitContent | None:
-    """The fit, training first where it is missing; None, with a warning, where the data determine nothing."""
-    try:
-        return collect_fit(analysis, load_modelled(analysis.config, restore(analysis).measurement), missing)
-    except IdentifiabilityError as error:
-        missing["fit"] = str(error)
-        warn(f"{error}\n{analysis.config.name}: the report has what was measured and the diagnosis alone")
-        return None
 
 
 def _read_spectra(config: Config) -> dict[str, FullSpectra]:

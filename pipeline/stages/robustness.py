@@ -74,7 +74,6 @@ def _start_anew(analysis: Analysis) -> StageRecord:
             watch=(lambda state, *_: trajectory.append(state.clone())) if setup.constant else None,
         )
     modelled = load_modelled(config, measurement)  # read when training is over
-    work = analysis.files
     answers = [training.identified(parameter).table(measurement.known) for parameter in minimum.parameters]
     rows = tabulate_starts(config.robustness.over, starts, minimum, answers, modelled, measurement.unknowns.by_bearing)
     summary = summarize_starts(minimum, rows)
@@ -83,9 +82,9 @@ def _start_anew(analysis: Analysis) -> StageRecord:
         summary["displacement"] = {"worst_mean_error_percent": error}
     print_starts(config.name, config.robustness.over, summary, minimum.seconds)
     written = [
-        write_json(work.folder / "robustness.json", summary),
-        write_table(work.folder / "robustness.csv", rows),
-        draw_robustness(work.figure("robustness"), training, trajectory, config.robustness.over, rows, modelled),
+        write_json(analysis.folder / "robustness.json", summary),
+        write_table(analysis.folder / "robustness.csv", rows),
+        draw_robustness(analysis.figure("robustness"), training, trajectory, config.robustness.over, rows, modelled),
     ]
     exit_code = 130 if Outcome.INTERRUPTED in minimum.outcomes else 0
     return StageRecord(
@@ -132,10 +131,9 @@ def _refit(analysis: Analysis) -> StageRecord:
     refits = refit_all(config)
     rows, summary = tabulate_refits(refits), summarize_refits(refits)
     print_refits(config.name, summary)
-    work = analysis.files
     written = [
-        write_json(work.folder / "robustness.json", summary),
-        write_table(work.folder / "robustness.csv", rows),
-        draw_refits(work.figure("robustness"), rows),
+        write_json(analysis.folder / "robustness.json", summary),
+        write_table(analysis.folder / "robustness.csv", rows),
+        draw_refits(analysis.figure("robustness"), rows),
     ]
     return StageRecord(summary, {}, written)

@@ -24,7 +24,7 @@ def run(analysis: Analysis) -> StageRecord:
 
     Raises ConfigError where the machine has no run-up, and DataError as :func:`pipeline.ingest.run_up.read_run_up`.
     """
-    config, work, settings = analysis.config, analysis.files, analysis.config.machine.run_up
+    config, settings = analysis.config, analysis.config.machine.run_up
     if settings is None:
         raise ConfigError(
             "runup must have a run-up to fit, but machine.run_up is missing: give its file and what its numbers mean "
@@ -32,7 +32,7 @@ def run(analysis: Analysis) -> StageRecord:
         )
     reading = analyse_run_up(read_run_up(settings), settings)
     summary = summarize_run_up(settings, reading)
-    if work.training.exists():
+    if analysis.training.exists():
         summary["identified"] = compare_identified(restore(analysis), summary)
     steady = respond_as_steady(reading.run_up, reading.chosen)
     vectors = {"measured": reading.run_up.vectors, "ramp": reading.chosen.fitted, "steady": steady}
@@ -40,9 +40,9 @@ def run(analysis: Analysis) -> StageRecord:
     for name, values in vectors.items():  # phases are leads
         columns |= {f"{name}_um": 1e6 * np.abs(values), f"{name}_lead_deg": np.degrees(np.angle(values))}
     written = [
-        write_json(work.folder / "run_up.json", summary),
-        write_table(work.folder / "run_up.csv", columns),
-        draw_run_up(work.figure("run_up"), reading.run_up, reading.chosen, steady, settings.probe),
+        write_json(analysis.folder / "run_up.json", summary),
+        write_table(analysis.folder / "run_up.csv", columns),
+        draw_run_up(analysis.figure("run_up"), reading.run_up, reading.chosen, steady, settings.probe),
     ]
     print_run_up(config.name, settings, reading)
     for mode in summary.get("identified", {}).values():

@@ -32,25 +32,29 @@ def run(analysis: Analysis) -> StageRecord:
         measurement = replace(measurement, parameters=parameters)
     senses = try_senses(measurement, setup, lambda sense: say(f"{config.name}: {sense.words}"))
     header = ["phase of readings", "angle of weights", "rotation", "chi-square beyond the least", "the same mirrored"]
-    rows, listed = [], []
-    for trial in senses.trials:
-        twin = next(j for j, other in enumerate(senses.trials) if other.sense == trial.sense.twin)
-        size = write_number(trial.chi_square) if np.isfinite(trial.chi_square) else "no fit"
-        rows.append([*trial.sense.words.split(", "), size, f"row {twin + 1}"])
-        listed.append(
-            {
-                "phase_as_lag": trial.sense.lag,
-                "weights_against_rotation": trial.sense.against,
-                "rotation_from_y_to_x": trial.sense.mirrored,
-                "chi_square_beyond_the_least": finite(trial.chi_square),
-                "told_from_the_best": trial not in senses.open,
-                "same_machine_mirrored": twin,
-                "why_no_fit": trial.why_not,
-            }
-        )
+    places = {trial.sense: place for place, trial in enumerate(senses.trials)}
+    rows = [
+        [
+            *trial.sense.words.split(", "),
+            write_number(trial.chi_square) if np.isfinite(trial.chi_square) else "no fit",
+            f"row {places[trial.sense.twin] + 1}",
+        ]
+        for trial in senses.trials
+    ]
     table(f"{config.name}: senses of phases and angles", header, rows)
     say(f"{config.name}: {senses.sentence}")
     summary = {"sentence": senses.sentence, "least": senses.least, "expected": senses.expected, "gained": senses.gained}
-    summary |= {"senses": listed}
-    written = [write_json(analysis.files.folder / "senses.json", summary)]
+    summary["senses"] = [
+        {
+            "phase_as_lag": trial.sense.lag,
+            "weights_against_rotation": trial.sense.against,
+            "rotation_from_y_to_x": trial.sense.mirrored,
+            "chi_square_beyond_the_least": finite(trial.chi_square),
+            "told_from_the_best": trial not in senses.open,
+            "same_machine_mirrored": places[trial.sense.twin],
+            "why_no_fit": trial.why_not,
+        }
+        for trial in senses.trials
+    ]
+    written = [write_json(analysis.folder / "senses.json", summary)]
     return StageRecord({"least": senses.least}, {"data_fingerprint": measurement.dataset.fingerprint}, written)

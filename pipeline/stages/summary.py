@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import ConfigError, DataError, PipelineError
 from pipeline.files import read_json, write_text
 from pipeline.parameters.as_built import stand_on_pedestals
 from pipeline.reporting.console import say
@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 def run(analysis: Analysis) -> StageRecord:
     """``summary.txt``, which is printed too, and ``figures/summary.png``."""
-    config, work, answer = analysis.config, analysis.files, restore(analysis)
+    config, answer = analysis.config, restore(analysis)
     modelled, built = load_modelled(config, answer.measurement), config.machine.as_built
     if modelled is not None and built is not None:  # as the shaft feels them
         modelled = stand_on_pedestals(modelled, built)
@@ -37,9 +37,9 @@ def run(analysis: Analysis) -> StageRecord:
         files={"verdicts": verdicts} if verdicts else {},
         missing=missing,
     )
-    picture = draw_summary(work.figure("summary"), content, fit)
+    picture = draw_summary(analysis.figure("summary"), content, fit)
     text = write_summary(content, fit, picture)
-    written = [write_text(work.folder / "summary.txt", text), picture]
+    written = [write_text(analysis.folder / "summary.txt", text), picture]
     say(text.rstrip("\n"))
     return StageRecord(tags=answer.tags, files=written)
 
@@ -48,13 +48,20 @@ def collect_fit(analysis: Analysis, modelled: BearingTable | None, missing: dict
     """What was identified, training first where it is missing, beside the truth that is ``modelled``; without a twin
     where ``missing`` has the reason."""
     answer, twin = restore(analysis), attempt(load_twin, analysis, "twin", missing)
-    return FitContent(answer, twin, modelled, read_json(analysis.files.training, AGAIN))
+    return FitContent(answer, twin, modelled, read_json(analysis.training, AGAIN))
 
 
-def attempt(make: Callable[[Analysis], _T], analysis: Analysis, part: str, missing: dict[str, str]) -> _T | None:
-    """What ``make`` makes; None where it can't, with the reason in ``missing``, and the rest goes on without."""
+def attempt(
+    make: Callable[[Analysis], _T],
+    analysis: Analysis,
+    part: str,
+    missing: dict[str, str],
+    kinds: tuple[type[PipelineError], ...] = (ConfigError, DataError),
+) -> _T | None:
+    """What ``make`` makes; None where it ends in an error of these ``kinds``: its reason is in ``missing`` then, and
+    the rest goes on without."""
     try:
         return make(analysis)
-    except (ConfigError, DataError) as error:
+    except kinds as error:
         missing[part] = str(error)
         return None

@@ -57,7 +57,7 @@ def run(analysis: Analysis) -> StageRecord:
         tags=answer.tags | {"outcome": fitted.outcome.label},
         files=files,
         history=[{key: value for key, value in row.items() if not isinstance(value, str)} for row in fitted.history],
-        model=analysis.files.folder,
+        model=analysis.folder,
         example=exemplify(fitted.model) if config.tracking.enabled else (),
         exit_code=130 if fitted.outcome is Outcome.INTERRUPTED else 0,
     )
@@ -75,8 +75,7 @@ def _deviations(analysis: Analysis, answer: Answer) -> BearingTable:
 
 def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str, object]) -> list[Path]:
     """Every file of the fit; tables without a row where the loss says nothing of them. Raises StorageError."""
-    work = analysis.files
-    model = [*save_model(work.folder, fitted.model), save_uncertainty(work.folder, fitted.uncertainty)]
+    model = [*save_model(analysis.folder, fitted.model), save_uncertainty(analysis.folder, fitted.uncertainty)]
     about = {
         "outcome": fitted.outcome.label,
         **answer.tags,
@@ -85,12 +84,12 @@ def _write(analysis: Analysis, fitted: Fit, answer: Answer, summary: Mapping[str
     }
     return [
         *model,
-        write_coefficients(work.identified, answer.stated),
-        write_table(work.folder / "bad_points.csv", tabulate_bad_points(fitted)),
-        write_table(work.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
-        write_table(work.folder / "model_parameters.csv", tabulate_parameters(fitted.parameters)),
-        write_table(work.history, [{k: v for k, v in row.items() if k != "seconds"} for row in fitted.history]),
-        write_json(work.training, about | dict(summary)),
+        write_coefficients(analysis.identified, answer.stated),
+        write_table(analysis.folder / "bad_points.csv", tabulate_bad_points(fitted)),
+        write_table(analysis.folder / "residual_unbalance.csv", tabulate_unbalance(fitted.uncertainty)),
+        write_table(analysis.folder / "model_parameters.csv", tabulate_parameters(fitted.parameters)),
+        write_table(analysis.history, [{k: v for k, v in row.items() if k != "seconds"} for row in fitted.history]),
+        write_json(analysis.training, about | dict(summary)),
     ]
 
 
@@ -102,7 +101,7 @@ def _report(analysis: Analysis, fitted: Fit, summary: Mapping[str, Any]) -> None
         f"{config.name}: {fitted.outcome.value}\n"
         f"{readings['distance']}{far_off}, {fitted.steps} steps in {fitted.seconds:.1f} s\n"
         + (f"{readings['searched']}\n" if "searched" in readings else "")
-        + f"coefficients in '{analysis.files.identified}'"
+        + f"coefficients in '{analysis.identified}'"
     )
     stated = config.identify.model_parameters.deviations
     told = {

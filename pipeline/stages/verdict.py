@@ -16,10 +16,10 @@ from pipeline.trust.judgement import judge_answer
 
 def run(analysis: Analysis) -> StageRecord:
     """``verdicts.json`` and ``verdicts.csv``; no modelled coefficient is read."""
-    config, work, judged = analysis.config, analysis.files, make_judgement(analysis)
+    config, judged = analysis.config, make_judgement(analysis)
     written = [
-        write_json(work.folder / "verdicts.json", judged),
-        write_table(work.folder / "verdicts.csv", tabulate_verdicts(judged)),
+        write_json(analysis.folder / "verdicts.json", judged),
+        write_table(analysis.folder / "verdicts.csv", tabulate_verdicts(judged)),
     ]
     print_verdicts(config.name, judged)
     given = [entry["verdict"] for entry in judged["verdicts"]]
@@ -33,14 +33,14 @@ def run(analysis: Analysis) -> StageRecord:
 @made_once(*ANSWER)
 def make_judgement(analysis: Analysis) -> dict[str, Any]:
     """The record of the Judgement on what was identified, training first where that is missing."""
-    return judge_answer(analysis.config, restore(analysis), read_json(analysis.files.training, AGAIN))
+    return judge_answer(analysis.config, restore(analysis), read_json(analysis.training, AGAIN))
 
 
 def load_judgement(analysis: Analysis) -> dict[str, Any]:
     """The record of the Judgement on the fit at hand: what ``verdicts.json`` has, made anew where it is of another."""
-    if (path := analysis.files.folder / "verdicts.json").exists():
+    if (path := analysis.folder / "verdicts.json").exists():
         judged = read_json(path, "make it again with stage=verdict")
-        if judged.get("model") == read_json(analysis.files.training, AGAIN)["model"]:
+        if judged.get("model") == read_json(analysis.training, AGAIN)["model"]:
             return judged
     return make_judgement(analysis)
 

@@ -36,7 +36,7 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.noise_levels import solve_weighted
 from pipeline.reporting.console import say, table
-from pipeline.stages.analysis import Analysis, locate_files, record, use_threads
+from pipeline.stages.analysis import Analysis, record, use_threads
 from pipeline.stages.measurement import load_dataset, load_measurement
 from pipeline.tracking import StageRecord, recorder_beside
 
@@ -106,7 +106,7 @@ def run(
     ``rate`` is the chance to name a condition where none contradicts its label. Raises ConfigError where the
     calibration is not of these conditions, or not led by one without weights.
     """
-    work, dataset = locate_files(config), load_dataset(config)
+    work, dataset = Analysis(config), load_dataset(config)
     planes = tuple(config.identify.unbalance_planes) or None
     conditions = gather_conditions(dataset, planes)
     _require_names(calibration, conditions)

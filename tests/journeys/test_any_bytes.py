@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import Run, known_names
-from damaged import SMALL, SPEEDS, answers, damage, measured, stored
+from damaged import SMALL, SPEEDS, answers, damage, loaded, measured, stored
 
 from pipeline.__main__ import main
 from pipeline.config.schema import Config
@@ -78,8 +78,7 @@ def test_speeds_of_any_number_of_digits(run: Run, base: Config, mine: Path) -> N
     shift = 100.0 / 3e4 * np.sqrt(2.0)
     files = {}
     for key, name in {"vibration": "vibration.parquet", "known": "known_coefficients.csv"}.items():
-        read = pd.read_parquet if name.endswith("parquet") else pd.read_csv
-        table = read(mine / name)
+        table = loaded(mine / name)
         files[key] = stored(table.assign(speed_rpm=table["speed_rpm"] + shift), mine / f"{key}_shifted.csv")
     run("train", base, mine.parent / "x", data=measured(mine, **files))
     assert (mine.parent / "x" / "training.json").exists()
@@ -98,8 +97,7 @@ def test_numbers_as_names_of_runs(base: Config, mine: Path) -> None:
 def small(base: Config, mine: Path) -> Path:
     """The data set with two speeds and few bytes."""
     for name in ("vibration.parquet", "known_coefficients.csv"):
-        read = pd.read_parquet if name.endswith("parquet") else pd.read_csv
-        table = read(mine / name)
+        table = loaded(mine / name)
         marks = {"rotor": assemble(base.machine.rotor).fingerprint, "origin": "origin"}
         write_table(mine / name, table[table["speed_rpm"] <= 1000], marks)
     stored(pd.read_parquet(mine / "vibration.parquet"), mine / "vibration.csv")

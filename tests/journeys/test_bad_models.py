@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Run, refused, with_machine
-from damaged import SMALL, Refused, measured
+from damaged import Refused, measured
 from running import left_alone
 
-from pipeline.__main__ import main
 from pipeline.config.schema import Config
 from pipeline.data.tables import read_marks
 from pipeline.data.vibration_files import read_dataset
@@ -176,15 +175,6 @@ def test_bad_data_leave_old_results_as_they_were(stage: str, run: Run, base: Con
     (mine / "excitation.csv").write_text(f"{header}\none,unbalance,7,1,0,forward\n")
     with left_alone(mine), refused("must come from one stage=generate"):
         run(stage, base, mine)
-
-
-@pytest.mark.slow
-def test_the_command_line_answers_with_a_sentence_and_2(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (mine / "vibration.parquet").write_bytes(b"PAR1")
-    assert main([*SMALL, "stage=train", f"output='{mine}'"]) == 2
-    _, err = capsys.readouterr()
-    assert err.startswith(f"'{mine}/vibration.parquet' must be a complete Parquet file")
-    assert "Traceback" not in err
 
 
 def test_a_generate_for_files_of_others(run: Run, base: Config, mine: Path) -> None:

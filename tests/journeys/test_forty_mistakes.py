@@ -10,13 +10,12 @@ from typing import Any
 import pytest
 import yaml
 from machine_files import given_by
-from running import ROOT
+from running import EXAMPLE
 
 from pipeline.__main__ import main
 
 pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
 
-EXAMPLE = ROOT / "examples" / "measured_demo"
 MISTAKES = yaml.safe_load(Path(__file__).with_name("mistakes.yaml").read_text(encoding="utf-8"))
 
 

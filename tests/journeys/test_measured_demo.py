@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import runpy
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
 from conftest import DATA, Artifacts, Run, pictures_left_out, refused
+from running import EXAMPLE
 
 from pipeline.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "measured_demo"
-
 
 @pytest.fixture(scope="module")
-def recordings() -> ModuleType:
-    """The script that made the recordings, which alone knows the machine."""
-    spec = importlib.util.spec_from_file_location("make_recordings", EXAMPLE / "make_recordings.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def bearings() -> dict[int, dict[str, float]]:
+    """Those of the script that made the recordings, which alone knows the machine."""
+    return dict(runpy.run_path(str(EXAMPLE / "make_recordings.py"))["BEARINGS"])
 
 
 @pytest.fixture(scope="module", params=["recordings", "tables"])
@@ -44,10 +37,10 @@ def folder(
     return made
 
 
-def test_the_truth_is_what_the_recordings_were_made_of(folder: Path, recordings: ModuleType) -> None:
+def test_the_truth_is_what_the_recordings_were_made_of(folder: Path, bearings: dict[int, dict[str, float]]) -> None:
     """The script says it by itself; the stage read it from the saved rotor."""
     modelled = pd.read_csv(folder / "modelled_coefficients.csv")
-    for node, truth in recordings.BEARINGS.items():
+    for node, truth in bearings.items():
         own = modelled[modelled["bearing_node"] == node]
         for name, value in truth.items():
             np.testing.assert_allclose(own[name], value, rtol=1e-12)

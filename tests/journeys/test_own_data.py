@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from conftest import assert_says
 from machine_files import given_by, machine_file
-from running import ROOT, composed
+from running import EXAMPLE, ROOT, composed
 
 from pipeline.__main__ import main
 from pipeline.config.loader import RESULTS, STAGES
@@ -20,7 +20,6 @@ from pipeline.errors import ConfigError, IdentifiabilityError
 from pipeline.stages import identify
 from pipeline.stages.analysis import Analysis, record
 
-EXAMPLE = ROOT / "examples" / "measured_demo"
 TRUTH = {  # of make_recordings.py
     1: {"kxx": 2.4e7, "kyy": 1.7e7, "cxx": 9e3, "cyy": 7e3},
     5: {"kxx": 2.0e7, "kyy": 1.4e7, "cxx": 8e3, "cyy": 6e3},

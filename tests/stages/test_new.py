@@ -14,11 +14,11 @@ import scipy.io
 from conftest import refused
 from machine_files import UNKNOWNS, given_by, machine_file
 from measured_files import uff_set, write_hdf5, write_tdms, write_uff
+from running import EXAMPLE
 from scipy.io import wavfile
 
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
-from pipeline.config.loader import CONF
 from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.recognition import recognize_recordings
 from pipeline.stages import run_stage
@@ -26,7 +26,6 @@ from pipeline.stages.new import fill_template
 
 pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
 
-EXAMPLE = CONF.parent / "examples" / "measured_demo"
 KINDS = [
     (bearings, data, "none", "shaft")
     for bearings in ("rolling", "fluid_film")

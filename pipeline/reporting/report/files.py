@@ -17,7 +17,6 @@ import numpy as np
 from pipeline.files import render, write_beside, write_text
 from pipeline.reporting.blocks import (
     GREY,
-    MICROMETRES,
     MICROMETRES_PEAK_TO_PEAK,
     Block,
     Curve,
@@ -124,17 +123,17 @@ def _describe_axes(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             }
         layout[f"yaxis{suffix}"] = y
         kind = {"amplitude": "xy" if panel.equal else "y"}.get(axes.quantity, axes.quantity)
-        for curve in axes.curves:
-            traces += [
-                trace | {"xaxis": "x", "yaxis": f"y{suffix}"}
-                for trace in _describe_curve(curve, kind, axes.scale == "log")
-            ]
+        traces += [
+            trace | {"xaxis": "x", "yaxis": f"y{suffix}"}
+            for curve in axes.curves
+            for trace in _describe_curve(curve, kind, panel.scales(axes), axes.scale == "log")
+        ]
         look = {"type": "line", "yref": f"y{suffix} domain", "y0": 0, "y1": 1, "line": {"color": GREY, "dash": "dot"}}
         layout["shapes"] += [look | {"x0": at, "x1": at, "label": {"text": text}} for at, text in axes.rules]
     if len(panel.axes) > 1:
         layout["xaxis"]["anchor"] = f"y{len(panel.axes)}"
     if panel.equal:
-        curves, scale = panel.axes[0].curves, MICROMETRES if panel.axes[0].quantity else 1.0
+        curves, scale = panel.axes[0].curves, panel.scales(panel.axes[0])[0]
         every = np.array([[f(np.concatenate([getattr(c, k) for c in curves])) for f in (np.min, np.max)] for k in "xy"])
         half = 0.55 * max(float(np.ptp(every, axis=1).max()), 1e-12)  # of x and y alike, around all curves
         for letter, middle in zip("xy", every.mean(axis=1), strict=True):
@@ -161,13 +160,13 @@ def _share(count: int) -> list[list[float]]:
     return [[edges[0][1] + 0.06, 1.0], *edges]
 
 
-def _describe_curve(curve: Curve, kind: str, logarithmic: bool = False) -> list[dict[str, Any]]:
+def _describe_curve(
+    curve: Curve, kind: str, scales: tuple[float, float], logarithmic: bool = False
+) -> list[dict[str, Any]]:
     """The line or the markers, and the area of the band; ``meta`` says what the page scales."""
     if not curve.shown or not len(curve.x):
         return []
-    curve = curve.thin()
-    high = {"y": MICROMETRES_PEAK_TO_PEAK, "r": MICROMETRES_PEAK_TO_PEAK, "xy": MICROMETRES}.get(kind, 1.0)
-    wide = high if kind == "xy" else 1.0
+    curve, (wide, high) = curve.thin(), scales
     about: dict[str, Any] = {"name": curve.label, "meta": kind}
     trace = about | _describe_look(curve) | {"hoverinfo": "skip" if curve.filled or not curve.label else "all"}
     if kind == "r":
@@ -199,7 +198,8 @@ def _describe_look(curve: Curve) -> dict[str, Any]:
 def _describe_polar(panel: Panel) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     angles = {"rotation": panel.polar, "direction": "clockwise", "gridcolor": "#e4e4e4", "ticksuffix": "°", "dtick": 45}
     radii = {"gridcolor": "#e4e4e4", "angle": panel.polar - panel.bare_lag, "nticks": 4, "tickfont": {"size": 9}}
-    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r")]
+    scales = panel.scales(panel.axes[0])
+    traces = [trace for curve in panel.axes[0].curves for trace in _describe_curve(curve, "r", scales)]
     return traces, {"polar": {"angularaxis": angles, "radialaxis": radii, "bgcolor": "#fff"}}
 
 

@@ -146,6 +146,8 @@ def _list_coefficients(label: str, shown: Coefficients) -> Table:
 
 def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
     """Identified against the reference, in percent, and in standard deviations where they are stated."""
+    import pandas as pd
+
     reference, shown = content.reference, fit.at_conditions
     if not reference:
         return []
@@ -160,8 +162,8 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
             off = np.interp(speeds, rpm, shown.identified.values[b, :, c]) - given
             deviation = np.interp(speeds, rpm, shown.identified.spread[b, :, c])
             with np.errstate(divide="ignore", invalid="ignore"):
-                medians = [_take_median(100 * off / np.abs(given)), _take_median(np.abs(off) / deviation)]
-            off_by, over = (write_number(median, digits=3) for median in medians)
+                differences = pd.DataFrame({"off": 100 * off / np.abs(given), "over": np.abs(off) / deviation})
+            off_by, over = (write_number(median, digits=3) for median in differences.median())
             rows.append([f"node {shown.identified.nodes[b]} {name}", f"{len(speeds)}", off_by, over * shown.stated])
     name = content.origin.get("reference", "the reference")
     return [
@@ -173,15 +175,14 @@ def _compare(content: ReportContent, fit: FitContent) -> list[Table]:
     ]
 
 
-def _take_median(values: np.ndarray) -> float:
-    """The median of those that are numbers; NaN where none is."""
-    return float(np.median(numbers)) if len(numbers := values[~np.isnan(values)]) else float("nan")
-
-
 def describe_fit(content: ReportContent, fit: FitContent) -> list[Block]:
-    """Readings and model of every probe over speed with their residuals."""
+    """Readings and model of every probe over speed with their residuals; model parameters, before and after."""
     figure = _draw_residuals(content, fit, [r for r in content.shown_runs if not content.held_out(r)], "fit")
-    return [_write_quality(fit.training), _list_probes(content, fit), figure, *_list_parameters(fit.training)]
+    caption = "Uncertain numbers of the model, change against what was stated"
+    parameters = list_parameters(
+        caption, fit.training.get("model_parameters", {}), spell=lambda kind: kind.replace("_", " ")
+    )
+    return [_write_quality(fit.training), _list_probes(content, fit), figure, *[parameters] * bool(parameters.rows)]
 
 
 def describe_held_out(content: ReportContent, fit: FitContent) -> list[Block]:
@@ -275,9 +276,3 @@ def _draw_residuals(content: ReportContent, fit: FitContent, runs: list[int], na
 def _name_noise(content: ReportContent) -> str:
     """What residuals are compared with."""
     return "drift" if content.measurement.drift else "noise"
-
-
-def _list_parameters(training: Mapping[str, Any]) -> list[Table]:
-    """Model parameters that were fitted with the coefficients, before and after."""
-    caption, fitted = "Uncertain numbers of the model, change against what was stated", training.get("model_parameters")
-    return [list_parameters(caption, fitted, spell=lambda kind: kind.replace("_", " "))] if fitted else []
