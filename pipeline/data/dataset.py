@@ -214,6 +214,34 @@ class VibrationDataset:
         return np.array(dof, dtype=int), np.array(rows).reshape(len(dof), len(self.channels))
 
 
+def place_rows(
+    speeds: np.ndarray,
+    runs: tuple[str, ...],
+    channels: tuple[tuple[int, float], ...],
+    at: tuple[Any, Any, Any],
+    readings: np.ndarray,
+    excitations: tuple[Excitation, ...],
+    frequencies: Sequence[float] | np.ndarray = (),
+    noise: Sequence[float] | np.ndarray = (),
+    **beside: Any,
+) -> VibrationDataset:
+    """The data set of rows whose ``readings`` (n,) or (n, P), complex, m, stand ``at`` these indices of the point, the
+    channel and the run; what no row has was not measured.
+
+    ``frequencies`` (n,) rad/s, where they are not the rotor's, and the ``noise`` of each reading, m, are of rows, too.
+    """
+    shape = len(speeds), len(channels), len(runs)
+    displacement, present = np.zeros(shape, dtype=complex), np.zeros(shape[::2], dtype=bool)
+    displacement[at], present[at[::2]] = readings, True
+    if len(frequencies):
+        beside["own_frequencies"] = np.repeat(speeds[:, None], len(runs), axis=1)
+        beside["own_frequencies"][at[::2]] = frequencies
+    if len(noise):
+        beside["noise"] = np.zeros(shape)
+        beside["noise"][at] = noise
+    return VibrationDataset(speeds, runs, channels, displacement, excitations, present=present, **beside)
+
+
 def project_direction(angle: float) -> tuple[float, float]:
     """Cosines with x and y of a direction in degrees, exact along the axes."""
     quarter, rest = divmod(angle, 90.0)

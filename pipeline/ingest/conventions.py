@@ -55,11 +55,12 @@ def describe_vectors(said: VectorConventionsConfig) -> str:
     return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
 
 
-def to_vectors(
-    amplitude: np.ndarray, phase: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense
+def read_vectors(
+    values: np.ndarray, said: VectorConventionsConfig, scale: str | None, frequencies: np.ndarray
 ) -> np.ndarray:
-    """Complex V in SI units, zero-to-peak, of amplitudes in units of ``size`` and phases in rad (any shape)."""
-    return to_lead(amplitude * np.exp(1j * phase), size, kind, sense)
+    """V in m of complex ``values`` of a probe of this ``scale``, at ``frequencies`` (rad/s, of their shape)."""
+    order, size = to_motion(said.unit, scale)
+    return to_displacement(to_lead(values, size, said.amplitude, said.phase), order, frequencies)
 
 
 def to_lead(values: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
@@ -113,12 +114,9 @@ class SourceUnits:
 
     def sizes(self, speeds: np.ndarray) -> np.ndarray:
         """(n, P) complex m: one unit of each probe's vector at these ``speeds`` (n,) rad/s."""
-        said, columns = self.recordings.vectors, []
-        for scale in [self.recordings.probes[name].scale for name in self.probes] or [None]:
-            order, size = to_motion(said.unit, scale)
-            unit = to_lead(np.ones(len(speeds), dtype=complex), size, said.amplitude, "lead")
-            columns.append(to_displacement(unit, order, speeds))
-        return np.stack(columns, axis=1)
+        scales = [self.recordings.probes[name].scale for name in self.probes] or [None]
+        ones = np.ones(len(speeds), dtype=complex)
+        return np.stack([read_vectors(ones, self.recordings.vectors, scale, speeds) for scale in scales], axis=1)
 
     def weights(self, unbalance: np.ndarray) -> np.ndarray:
         """Complex g mm, of ``unbalance`` in kg m: the angle is measured on the shaft as the recordings say."""
