@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
-from measured_files import PROBES, Vectors, probes_config, vectors_of, wide
+from measured_files import PROBES, Vectors, probes_config, rotating, table_config, tacho_of, vectors_of, wide
 from pydantic import TypeAdapter
 
 from pipeline.config.compose import compose_mapping, validate
@@ -67,6 +68,14 @@ def wide_runs(folder: Path, ending: str = ".csv", **more: Vectors) -> list[dict[
     return runs
 
 
+def long_table(
+    folder: Path, table: pd.DataFrame, runs: Sequence[dict[str, Any]] = RUNS, **changes: Any
+) -> dict[str, Any]:
+    """The section of a ``table`` with a row a run, probe and speed, which is written to ``folder``."""
+    table.to_csv(folder / "all.csv", index=False)
+    return table_config(runs, "long", file=str(folder / "all.csv"), **changes)
+
+
 def check_read(dataset: VibrationDataset, tolerance: float = 1e-12, rpm: np.ndarray = GRID) -> None:
     """x and y of both nodes in both runs, as they were made."""
     assert dataset.channels == ((0, 0.0), (0, 90.0), (2, 0.0), (2, 90.0))
@@ -109,6 +118,29 @@ def waves(**changes: Any) -> dict[str, Any]:
         "speeds": {"start_rpm": 800, "stop_rpm": 2500, "step_rpm": 100},
         "runs": [ONE],
     } | changes
+
+
+STEADY = np.array([903.0, 1502.0])  # rpm
+
+
+def steady(write: Callable[[str, dict[str, np.ndarray]], Path], order: int = 0, **changes: Any) -> dict[str, Any]:
+    """A section of records at two constant speeds, a file each, which ``write`` makes of a name and its channels: the
+    probes' motions by the derivative of the order, in um, um/s .., the tacho and the time in s.
+    """
+    time, files = np.arange(20000) / 5000, []
+    for rpm in STEADY:
+        w, vectors = rpm * RPM, seen(0.0, np.array([rpm])).of
+        motions = {name: 1e6 * rotating((1j * w) ** order * vector, w * time) for name, vector in vectors.items()}
+        files.append(str(write(f"{rpm:g}", motions | {"tacho": tacho_of(w * time), "time": time})))
+    plain = {"signal_unit": "um", "probes": probes_config(channel=lambda name: name), "speeds": None}
+    return waves(records="constant_speed", runs=[RUNS[0] | {"files": files}], **plain | changes)
+
+
+def check_steady(section: dict[str, Any]) -> VibrationDataset:
+    """What is read of :func:`steady`: x and y of the first node, as they were made."""
+    dataset, true = read(section), np.stack(response(0, 0.0, STEADY), axis=1)
+    assert np.abs(dataset.displacement[:, :2, 0] - true).max() < 1e-3 * np.abs(true).max()
+    return dataset
 
 
 RUNOUT = {"A": 3e-6 * np.exp(0.5j), "B": 2e-6 * np.exp(-2j), "C": 1e-6 + 0j, "D": 4e-6 * np.exp(3j)}
