@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from pydantic import TypeAdapter
 from pipeline.config.compose import compose_mapping, validate
 from pipeline.config.schema import Config
 from pipeline.data.dataset import VibrationDataset
+from pipeline.data.vibration_files import read_measured
 from pipeline.ingest.dataset import RecordingsConfig, read_measured_runs
 
 RPM = np.pi / 30
@@ -35,6 +37,14 @@ def seen(turn: float = 0.0, rpm: np.ndarray = GRID, probes: Mapping[str, Any] = 
     """What the probes of a run see."""
     x, y = (lambda node: response(node, turn, rpm)[0]), (lambda node: response(node, turn, rpm)[1])
     return vectors_of(rpm, x, y, probes)
+
+
+def read_rows(folder: Path, rows: Iterable[list[str]], *given: Any, **options: Any) -> VibrationDataset:
+    """The data set of a table with these rows, the header first, beside the excitation that lies in the ``folder``."""
+    path = folder / "theirs.csv"
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    return read_measured(path, folder / "excitation.csv", *given, **options)
 
 
 TURNS = {"one": 0.0, "two": 1.1}
