@@ -104,9 +104,13 @@ class VibrationDataset:
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
-        acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
-        repeated = tuple(self.conditions[r] for r in runs) if self.conditions else None
-        return self.at(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
+        return self.at(
+            slice(None),
+            runs,
+            runs=names,
+            excitations=tuple(excitation for excitation in self.excitations if excitation.run in names),
+            conditions=tuple(self.conditions[r] for r in runs) if self.conditions else None,
+        )
 
     def at(
         self, speeds: np.ndarray | slice, where: np.ndarray | slice = slice(None), **beside: Any
@@ -169,8 +173,7 @@ class VibrationDataset:
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        rows = [np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels]
-        return np.stack(rows)
+        return np.stack([np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels])
 
     def shares(self, node: int, angle: float) -> np.ndarray:
         """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it

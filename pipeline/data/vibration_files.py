@@ -146,11 +146,8 @@ def require_made_for(vibration: Path, rotor: RotorModel) -> None:
 
 def require_nodes_of(dataset: VibrationDataset, rotor: RotorModel, vibration: Path, excitation: Path) -> None:
     """Raise DataError for a node of either file that the ``rotor`` lacks."""
-    read, acting = [node for node, _ in dataset.channels], [e.node for e in dataset.excitations]
-    for path, nodes, n_nodes in ((vibration, read, rotor.n_views), (excitation, acting, rotor.n_places)):
-        for node in nodes:
-            if node >= n_nodes:
-                raise DataError(f"'{path}' must use the rotor's nodes 0 to {n_nodes - 1}, but got node {node}")
+    read_nodes(np.array([node for node, _ in dataset.channels]), vibration, rotor.n_views)
+    read_nodes(np.array([acting.node for acting in dataset.excitations]), excitation, rotor.n_places)
 
 
 def read_measured(

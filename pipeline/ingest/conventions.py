@@ -26,22 +26,18 @@ of it that makes the configured edge of the pulse.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.config.measured import (
     AmplitudeKind,
     AnyRecordingsConfig,
-    MeasuredConfig,
-    MeasuredRunConfig,
     PhaseSense,
     SpeedUnit,
     VectorConventionsConfig,
 )
 from pipeline.config.motion import to_motion
-from pipeline.data.dataset import Excitation
-from pipeline.data.excitation_files import run_excitations
 from pipeline.units import RAD_S_PER_RPM
 
 _TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
@@ -51,8 +47,9 @@ RAD_S: dict[SpeedUnit, float] = {"rpm": RAD_S_PER_RPM, "Hz": 2 * math.pi, "rad/s
 
 def describe_vectors(said: VectorConventionsConfig) -> str:
     """What complex numbers in a file are taken for."""
-    kind = said.amplitude.replace("_", "-")
-    return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+    return (
+        f"complex, {said.unit}, {said.amplitude.replace('_', '-')}, angle a phase {said.phase}, speed in {said.speed}"
+    )
 
 
 def read_vectors(
@@ -75,12 +72,6 @@ def to_displacement(vectors: np.ndarray, order: int, frequencies: np.ndarray) ->
         return vectors
     with np.errstate(divide="ignore", invalid="ignore"):  # at standstill, which is refused later
         return vectors / (1j * frequencies) ** order
-
-
-def list_acting(config: MeasuredConfig, run: MeasuredRunConfig) -> list[Excitation]:
-    """What excited a run; the phases of unbalances as angles from x at the pulse."""
-    turned = [(excitation, config.angle_from_x(excitation.phase)) for excitation in run_excitations(run)]
-    return [replace(each, phase=phase) if each.kind == "unbalance" else each for each, phase in turned]
 
 
 # --- back to what a table of records is written in ------------------------------------------------

@@ -21,9 +21,10 @@ from pydantic import Field
 from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
 from pipeline.config.runs import ProbeConfig, find_frequencies
 from pipeline.data.dataset import DIRECTIONS, VibrationDataset, place_rows
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import list_acting, to_lead
+from pipeline.ingest.conventions import to_lead
 from pipeline.ingest.exciter import ExciterRecordingsConfig, FrequencyResponse
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
@@ -104,7 +105,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
-        for excitation in list_acting(config, run)
+        for excitation in run_excitations(run, config.angle_from_x)
     ]
     recorded = VibrationDataset(
         speeds,
@@ -147,7 +148,7 @@ def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -
     acting = [
         replace(excitation, run=name)
         for (t, _), name in zip(lines, names, strict=True)
-        for excitation in list_acting(config, tests[t].run)
+        for excitation in run_excitations(tests[t].run, config.angle_from_x)
     ]
     return place_rows(
         rpm * RAD_S_PER_RPM,

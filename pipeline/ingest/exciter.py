@@ -162,8 +162,9 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
         ones, w = np.ones(len(lines), dtype=complex), 2 * np.pi * frequencies[lines]
         units = [to_motion(self.signal_unit, probe.scale) for probe in self.probes.values()]
         metres = np.stack([to_displacement(size * ones, order, w) for order, size in units], axis=1)
-        measured = (metres * response, np.abs(metres) * noise, coherence)
-        return FrequencyResponse(run, frequencies[lines], *measured, n, tuple(notes))
+        return FrequencyResponse(
+            run, frequencies[lines], metres * response, np.abs(metres) * noise, coherence, n, tuple(notes)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ from pydantic import Field
 from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, MeasuredRunConfig, TachoAngleConfig
 from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import list_acting
 from pipeline.ingest.tracks import RunTracks, sort_track
 
 _KIND = "ForcedResponseResults"
@@ -58,7 +58,7 @@ class RossRecordingsConfig(MeasuredConfig):
                     f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} "
                     "speeds"
                 )
-            _check_unbalances(path, content.get("unbalance"), list_acting(self, run))
+            _check_unbalances(path, content.get("unbalance"), run_excitations(run, self.angle_from_x))
         tracks = {}
         for name, probe in self.probes.items():
             if dof * probe.node + 1 >= len(response):
