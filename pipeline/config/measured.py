@@ -203,8 +203,7 @@ class AnyRecordingsConfig(Section):
     @property
     def vectors(self) -> VectorConventionsConfig:
         """The meaning of the vectors of records; um zero-to-peak, phase lead for recordings of runs."""
-        usual = {"length": "um", "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
-        return VectorConventionsConfig.model_validate(usual)
+        return VectorConventionsConfig(length="um", amplitude="zero_to_peak", phase="lead", speed="rpm")
 
     @property
     def planes(self) -> tuple[int, ...]:
