@@ -78,7 +78,7 @@ class Machine:
         middle = self.rotor.n_nodes // 2 if self.settings.location is None else self.settings.location
         nodes = self.rotor.bearing_nodes if case.sensors == "bearings" else (middle,)
         channels = None if case.sensors == "all" else list_directions(nodes)
-        sensors = Sensors(channels, additive=floor, multiplicative=case.noise)
+        sensors = Sensors(channels, NoiseModel(floor, case.noise))
         generator = np.random.default_rng([self.noise_seed, case.data_set])
         return Measurement(
             rotor=self.rotor,

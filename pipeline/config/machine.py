@@ -251,16 +251,20 @@ class MachineConfig(Section):
             if node not in self.rotor.bearing_nodes:
                 where = ", ".join(map(str, self.rotor.bearing_nodes))
                 yield f"laws.bearings must have bearing nodes of the rotor ({where}), but has node {node}"
-        turning = [(f"run '{run.name}'", u.node) for run in self.runs for u in run.unbalances]
-        turning += [("residual_unbalance", u.node) for u in self.residual_unbalance]
-        turning += [("prediction.unbalances", u.node) for u in self.prediction.unbalances]
-        turning += [("balance.planes", plane.node) for plane in (self.balance.planes if self.balance else ())]
-        still = [(f"run '{run.name}'", force.node) for run in self.runs for force in run.forces]
-        still += [("prediction.node", self.prediction.node)]
-        still += [("prediction.forces", force.node) for force in self.prediction.forces]
-        still += [("probes.at", probe.node) for probe in self.probes.listed]
-        n_nodes = self.rotor.n_nodes  # with casings, which do not turn
-        for used, last in ((turning, n_nodes - 1 - self.rotor.n_casings), (still, n_nodes - 1)):
-            for what, node in used:
-                if node > last:
-                    yield f"must use nodes 0 to {last} of the rotor, but {what} got node {node}"
+        last = self.rotor.n_nodes - 1  # with casings, which do not turn
+        turning: dict[str, Sequence[Any]] = {
+            **{f"run '{run.name}'": run.unbalances for run in self.runs},
+            "residual_unbalance": self.residual_unbalance,
+            "prediction.unbalances": self.prediction.unbalances,
+            "balance.planes": self.balance.planes if self.balance else (),
+        }
+        still: dict[str, Sequence[Any]] = {
+            **{f"run '{run.name}'": run.forces for run in self.runs},
+            "prediction.node": [self.prediction],
+            "prediction.forces": self.prediction.forces,
+            "probes.at": self.probes.listed,
+        }
+        for used, highest in ((turning, last - self.rotor.n_casings), (still, last)):
+            for what, node in ((what, placed.node) for what, every in used.items() for placed in every):
+                if node > highest:
+                    yield f"must use nodes 0 to {highest} of the rotor, but {what} got node {node}"

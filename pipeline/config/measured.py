@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PositiveFloat, create_model
@@ -22,7 +23,7 @@ from pipeline.config.quantities import (
     define_coefficients,
 )
 from pipeline.config.runs import ForceConfig, ProbeConfig, SpeedsConfig, UnbalanceConfig
-from pipeline.config.section import Section, rule
+from pipeline.config.section import Section, Text, rule
 
 if TYPE_CHECKING:
     from pipeline.ingest.exciter import FrequencyResponse
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 AmplitudeKind = Literal["zero_to_peak", "peak_to_peak", "rms"]
 PhaseSense = Literal["lag", "lead"]
 SpeedUnit = Literal["rpm", "Hz", "rad/s"]
-Text = Annotated[str, Field(min_length=1)]
 
 
 AS_MODELLED = "bearings"
@@ -203,8 +203,7 @@ class AnyRecordingsConfig(Section):
     @property
     def vectors(self) -> VectorConventionsConfig:
         """The meaning of the vectors of records; um zero-to-peak, phase lead for recordings of runs."""
-        usual = {"length": "um", "amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
-        return VectorConventionsConfig.model_validate(usual)
+        return VectorConventionsConfig(length="um", amplitude="zero_to_peak", phase="lead", speed="rpm")
 
     @property
     def planes(self) -> tuple[int, ...]:
@@ -239,7 +238,6 @@ class NoRecordingsConfig(AnyRecordingsConfig):
     recorded: ClassVar[Literal[False]] = False
     made_by: ClassVar[Literal["generate"]] = "generate"
     file: ClassVar[None] = None
-    speeds: ClassVar[None] = None
     stated_speeds: ClassVar[None] = None
     shaft_angle: ClassVar[None] = None
     tacho: ClassVar[TachoAngleConfig] = TachoAngleConfig()
@@ -307,6 +305,10 @@ class MeasuredConfig(AnyRecordingsConfig):
 
     def read(self) -> tuple[RunTracks, ...]:
         """The 1X vectors of all runs. Raises DataError."""
+        return tuple(self.read_run(run, Path(run.sources(self.file)[0])) for run in self.runs)
+
+    def read_run(self, run: Any, path: Path) -> RunTracks:
+        """The 1X vectors of a run, which is of the format's own class, in its only file. Raises DataError."""
         raise NotImplementedError(f"recordings of format {self.format} are records")  # callers ask for planes first
 
     def check_units(self, unit: str) -> Iterator[str]:

@@ -72,8 +72,11 @@ class _LayersConfig(_CoefficientModelConfig):
     @property
     def shape(self) -> dict[str, Any]:
         """The layers."""
-        layers = (self.width,) * self.depth
-        return {"hidden": layers, "activation": self.activation, "input_scaling": self.input_scaling}
+        return {
+            "hidden": (self.width,) * self.depth,
+            "activation": self.activation,
+            "input_scaling": self.input_scaling,
+        }
 
 
 class NetworkModelConfig(_LayersConfig):
@@ -134,8 +137,12 @@ class FunctionsModelConfig(_CoefficientModelConfig):
     @property
     def shape(self) -> dict[str, Any]:
         """The functions."""
-        functions = {"functions": self.kind, "n_functions": self.count}
-        return {"hidden": (), "input_scaling": self.input_scaling, "trend": self.trend} | functions
+        return super().shape | {
+            "input_scaling": self.input_scaling,
+            "trend": self.trend,
+            "functions": self.kind,
+            "n_functions": self.count,
+        }
 
     @rule
     def _cubic(self) -> Iterator[str]:
@@ -162,8 +169,12 @@ class BearingsModelConfig(_CoefficientModelConfig):
     @property
     def shape(self) -> dict[str, Any]:
         """The nodes."""
-        nodes = {"hidden": (), "functions": "nodes", "n_functions": self.count, "input_scaling": "log_rpm"}
-        return nodes | {"parametrisation": "impedance"}  # whatever an experiment has for other models
+        return super().shape | {
+            "functions": "nodes",
+            "n_functions": self.count,
+            "input_scaling": "log_rpm",
+            "parametrisation": "impedance",  # whatever an experiment has for other models
+        }
 
 
 class BearingsNetworkModelConfig(BearingsModelConfig):

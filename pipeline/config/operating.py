@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator
 
 from pipeline.config.quantities import base_of, from_base, is_number, to_base, to_si
-from pipeline.config.section import Section
+from pipeline.config.section import Section, Text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,8 +47,8 @@ UNITS = (
 class ConditionColumn(Section):
     """A column of a table with an operating condition in ``unit``."""
 
-    column: Annotated[str, Field(min_length=1)]
-    unit: Annotated[str, Field(min_length=1)]
+    column: Text
+    unit: Text
 
     def to_si(self, values: np.ndarray) -> np.ndarray:
         """Values of the column in SI, temperatures in K."""

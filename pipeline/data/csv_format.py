@@ -18,10 +18,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.config.section import NonNegativeInt, Section, Text, rule
 from pipeline.errors import DataError
-
-Text = Annotated[str, Field(min_length=1)]
 
 
 class CsvConfig(Section):

@@ -104,9 +104,13 @@ class VibrationDataset:
     def of_runs(self, runs: np.ndarray) -> VibrationDataset:
         """The ``runs`` (indices) alone."""
         names = tuple(self.runs[r] for r in runs)
-        acting = tuple(excitation for excitation in self.excitations if excitation.run in names)
-        repeated = tuple(self.conditions[r] for r in runs) if self.conditions else None
-        return self.at(slice(None), runs, runs=names, excitations=acting, conditions=repeated)
+        return self.at(
+            slice(None),
+            runs,
+            runs=names,
+            excitations=tuple(excitation for excitation in self.excitations if excitation.run in names),
+            conditions=tuple(self.conditions[r] for r in runs) if self.conditions else None,
+        )
 
     def at(
         self, speeds: np.ndarray | slice, where: np.ndarray | slice = slice(None), **beside: Any
@@ -169,8 +173,7 @@ class VibrationDataset:
 
     def sensor_matrix(self, rotor: RotorModel) -> np.ndarray:
         """(P, n) what each channel shows of the rotor's lateral DOF."""
-        rows = [np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels]
-        return np.stack(rows)
+        return np.stack([np.array(project_direction(angle)) @ rotor.show(node) for node, angle in self.channels])
 
     def shares(self, node: int, angle: float) -> np.ndarray:
         """(P,) what each channel adds to the reading of a probe in the direction ``angle`` (degrees): it alone where it
@@ -212,6 +215,34 @@ class VibrationDataset:
                     rows.append(np.zeros(len(self.channels)))
                     rows[-1][probes] = inverse[direction]
         return np.array(dof, dtype=int), np.array(rows).reshape(len(dof), len(self.channels))
+
+
+def place_rows(
+    speeds: np.ndarray,
+    runs: tuple[str, ...],
+    channels: tuple[tuple[int, float], ...],
+    at: tuple[Any, Any, Any],
+    readings: np.ndarray,
+    excitations: tuple[Excitation, ...],
+    frequencies: Sequence[float] | np.ndarray = (),
+    noise: Sequence[float] | np.ndarray = (),
+    **beside: Any,
+) -> VibrationDataset:
+    """The data set of rows whose ``readings`` (n,) or (n, P), complex, m, stand ``at`` these indices of the point, the
+    channel and the run; what no row has was not measured.
+
+    ``frequencies`` (n,) rad/s, where they are not the rotor's, and the ``noise`` of each reading, m, are of rows, too.
+    """
+    shape = len(speeds), len(channels), len(runs)
+    displacement, present = np.zeros(shape, dtype=complex), np.zeros(shape[::2], dtype=bool)
+    displacement[at], present[at[::2]] = readings, True
+    if len(frequencies):
+        beside["own_frequencies"] = np.repeat(speeds[:, None], len(runs), axis=1)
+        beside["own_frequencies"][at[::2]] = frequencies
+    if len(noise):
+        beside["noise"] = np.zeros(shape)
+        beside["noise"][at] = noise
+    return VibrationDataset(speeds, runs, channels, displacement, excitations, present=present, **beside)
 
 
 def project_direction(angle: float) -> tuple[float, float]:

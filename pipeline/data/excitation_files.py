@@ -9,6 +9,7 @@ Beside them the runs that an experimenter could make. Legend: R runs.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,9 +87,11 @@ def _check_words(values: np.ndarray, allowed: tuple[str, ...], path: Path, colum
 # --- runs that an experimenter could make ---------------------------------------------------------
 
 
-def run_excitations(run: RunConfig | MeasuredRunConfig) -> tuple[Excitation, ...]:
-    """What acts in a configured run."""
-    weights = [Excitation(run.name, "unbalance", u.node, u.magnitude, u.phase) for u in run.unbalances]
+def run_excitations(
+    run: RunConfig | MeasuredRunConfig, turn: Callable[[float], float] = float
+) -> tuple[Excitation, ...]:
+    """What acts in a configured run; ``turn`` makes the angle from x, rad, of an unbalance's phase."""
+    weights = [Excitation(run.name, "unbalance", u.node, u.magnitude, turn(u.phase)) for u in run.unbalances]
     forces = [Excitation(run.name, "force", f.node, f.magnitude, f.phase, f.whirl) for f in run.forces]
     return (*weights, *forces)
 

@@ -82,15 +82,13 @@ Channels = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True)
 class Sensors:
-    """Probes of one kind. Sizes in m."""
+    """Probes of one kind, and what they add. Sizes in m."""
 
     channels: Channels | None  # (node, angle in degrees); None for x and y at every node
-    additive: float = 0.0  # root mean square of the complex noise
-    multiplicative: float = 0.0  # share of the reading
+    noise: NoiseModel = NoiseModel(0.0, 0.0)
     runout: float = 0.0
     quantisation: float = 0.0
     slow_roll_readings: int = 0  # how many the runout is taken from, which is then subtracted
-    floors: Floors = ()  # as those of a noise model
 
 
 def name_channel(node: int, angle: float) -> tuple[int, float]:
@@ -114,8 +112,7 @@ def measure(dataset: VibrationDataset, sensors: Sensors, generator: np.random.Ge
     """Return what the sensors read from a data set with x and y at every node."""
     seen = dataset if sensors.channels is None else project(dataset, sensors.channels)
     # Noise comes first from the generator: with other runout, the same noise.
-    noise = NoiseModel(sensors.additive, sensors.multiplicative, floors=sensors.floors)
-    floors = noise.floor_at(seen.frequencies)
+    noise, floors = sensors.noise, sensors.noise.floor_at(seen.frequencies)
     if noise.floored or noise.multiplicative:
         seen = add_noise(seen, noise.deviation(seen.displacement, beside=floors), generator)
     turns = synchronous(seen.frequencies, seen.speeds[:, None])[:, None]

@@ -24,10 +24,10 @@ import numpy as np
 
 from pipeline.data.dataset import (
     DIRECTIONS,
-    UNSTATED,
     Excitation,
     VibrationDataset,
     name_direction,
+    place_rows,
     subtract_baseline,
     synchronous,
 )
@@ -92,29 +92,25 @@ def write_vibration(path: Path, dataset: VibrationDataset, marks: Mapping[str, s
 
     Generated data have ``marks`` (see :func:`pipeline.data.tables.read_marks`); measured data belong to no model.
     """
-    n_speeds, n_channels, n_runs = dataset.displacement.shape
-    flat = dataset.displacement.transpose(2, 0, 1).ravel()  # run slowest, then speed, then channel
-    nodes = np.array([node for node, _ in dataset.channels])
-    directions = np.array([name_direction(angle) for _, angle in dataset.channels])
-    conditions = list_columns(dataset.operating)
+    channels = len(dataset.channels)
+    r, s = np.repeat(np.nonzero(dataset.present.T), channels, axis=1)  # run slowest, then speed, then channel
+    p = np.resize(np.arange(channels), len(s))
+    readings = dataset.displacement[s, p, r]
     columns = {
-        "run": np.repeat(np.array(dataset.runs, dtype=object), n_speeds * n_channels),
-        "speed_rpm": np.tile(np.repeat(to_rpm(dataset.speeds), n_channels), n_runs),
-        **{name: np.tile(np.repeat(values, n_channels), n_runs) for name, values in conditions.items()},
-        "node": np.tile(nodes, n_speeds * n_runs),
-        "direction": np.tile(directions, n_speeds * n_runs),
-        "amplitude_m": np.abs(flat),
-        "phase_deg": np.degrees(np.angle(flat)),
+        "run": np.array(dataset.runs, dtype=object)[r],
+        "speed_rpm": to_rpm(dataset.speeds)[s],
+        **{name: values[s] for name, values in list_columns(dataset.operating).items()},
+        "node": np.array([node for node, _ in dataset.channels])[p],
+        "direction": np.array([name_direction(angle) for _, angle in dataset.channels])[p],
+        "amplitude_m": np.abs(readings),
+        "phase_deg": np.degrees(np.angle(readings)),
     }
     if dataset.own_frequencies is not None:
-        columns[_FREQUENCY] = np.repeat(dataset.own_frequencies.T.ravel() / (2 * np.pi), n_channels)
+        columns[_FREQUENCY] = dataset.own_frequencies[s, r] / (2 * np.pi)
     if dataset.noise.any():
-        columns[_DEVIATION] = dataset.noise.transpose(2, 0, 1).ravel()
+        columns[_DEVIATION] = dataset.noise[s, p, r]
     if dataset.conditions:
-        columns[_CONDITION] = np.repeat(np.array(dataset.conditions, dtype=object), n_speeds * n_channels)
-    if not dataset.complete:
-        rows = np.repeat(dataset.present.T.ravel(), n_channels)
-        columns = {name: values[rows] for name, values in columns.items()}
+        columns[_CONDITION] = np.array(dataset.conditions, dtype=object)[r]
     return write_table(path, columns, marks)
 
 
@@ -150,11 +146,8 @@ def require_made_for(vibration: Path, rotor: RotorModel) -> None:
 
 def require_nodes_of(dataset: VibrationDataset, rotor: RotorModel, vibration: Path, excitation: Path) -> None:
     """Raise DataError for a node of either file that the ``rotor`` lacks."""
-    read, acting = [node for node, _ in dataset.channels], [e.node for e in dataset.excitations]
-    for path, nodes, n_nodes in ((vibration, read, rotor.n_views), (excitation, acting, rotor.n_places)):
-        for node in nodes:
-            if node >= n_nodes:
-                raise DataError(f"'{path}' must use the rotor's nodes 0 to {n_nodes - 1}, but got node {node}")
+    read_nodes(np.array([node for node, _ in dataset.channels]), vibration, rotor.n_views)
+    read_nodes(np.array([acting.node for acting in dataset.excitations]), excitation, rotor.n_places)
 
 
 def read_measured(
@@ -243,8 +236,8 @@ def _assemble(
     at_run = np.array([order[run] for run in table["run"].tolist()])
     shape = (len(rpm), len(pairs), len(runs))
     require_room(path, 16 * math.prod(shape))
-    rows = np.ravel_multi_index((at_point, at_channel.ravel(), at_run), shape)
-    counts = np.bincount(rows, minlength=np.prod(shape)).reshape(shape)
+    at = at_point, at_channel.ravel(), at_run
+    counts = np.bincount(np.ravel_multi_index(at, shape), minlength=np.prod(shape)).reshape(shape)
 
     def describe_first(index: np.ndarray) -> str:
         s, p, r = index
@@ -263,28 +256,29 @@ def _assemble(
             f"'{path}' must have every channel at every speed of a run, but {len(missing)} of "
             f"{len(pairs) * present.sum()} are missing ({describe_first(missing[0])})"
         )
-    displacement = np.zeros(shape, dtype=complex)
-    displacement[at_point, at_channel.ravel(), at_run] = table["amplitude_m"] * np.exp(
-        1j * np.radians(table["phase_deg"])
-    )
-    noise = UNSTATED
-    if _DEVIATION in table:
-        noise = np.zeros(shape)
-        noise[at_point, at_channel.ravel(), at_run] = np.nan_to_num(table[_DEVIATION])
     speeds = rpm * RAD_S_PER_RPM
     asynchronous = _FREQUENCY in table and not np.isnan(table[_FREQUENCY]).all()
-    return VibrationDataset(
+    frequencies = _read_frequencies(table, path, speeds[at_point]) if asynchronous else np.zeros(0)
+    dataset = place_rows(
         speeds,
         runs,
         tuple(pairs),
-        displacement,
+        at,
+        table["amplitude_m"] * np.exp(1j * np.radians(table["phase_deg"])),
         excitations,
-        _read_frequencies(table, path, speeds, runs, at_point, at_run) if asynchronous else None,
+        frequencies,
+        np.nan_to_num(table[_DEVIATION]) if _DEVIATION in table else (),
         conditions=_read_conditions(table, path, runs) if _CONDITION in table else None,
         operating=operating,
-        present=present,
-        noise=noise,
     )
+    unequal = np.flatnonzero(asynchronous and dataset.frequencies[at_point, at_run] != frequencies)
+    if len(unequal):
+        run, at_rpm = table["run"][unequal[0]], table["speed_rpm"][unequal[0]]
+        raise DataError(
+            f"'{path}' must have one frequency for all channels of a run and speed, but run '{run}' has several "
+            f"at {at_rpm:g} rpm: give every frequency a run of its own"
+        )
+    return dataset
 
 
 def _read_conditions(table: Columns, path: Path, runs: tuple[str, ...]) -> tuple[str, ...]:
@@ -299,24 +293,12 @@ def _read_conditions(table: Columns, path: Path, runs: tuple[str, ...]) -> tuple
     return tuple(labels[run] for run in runs)
 
 
-def _read_frequencies(
-    table: Columns, path: Path, speeds: np.ndarray, runs: tuple[str, ...], at_speed: np.ndarray, at_run: np.ndarray
-) -> np.ndarray:
-    """(S, R) rad/s."""
+def _read_frequencies(table: Columns, path: Path, speeds: np.ndarray) -> np.ndarray:
+    """(n,) rad/s, that of the rotor, at ``speeds`` (n,) rad/s, where none is given."""
     given = 2 * np.pi * table[_FREQUENCY]
     if (given <= 0).any():
         raise DataError(f"'{path}' must have frequencies above zero, but got {np.nanmin(table[_FREQUENCY]):g} Hz")
-    given = np.where(np.isnan(given), speeds[at_speed], given)
-    frequencies = np.repeat(speeds[:, None], len(runs), axis=1)
-    frequencies[at_speed, at_run] = given
-    unequal = np.flatnonzero(frequencies[at_speed, at_run] != given)
-    if len(unequal):
-        run, rpm = table["run"][unequal[0]], table["speed_rpm"][unequal[0]]
-        raise DataError(
-            f"'{path}' must have one frequency for all channels of a run and speed, but run '{run}' has several "
-            f"at {rpm:g} rpm: give every frequency a run of its own"
-        )
-    return frequencies
+    return np.where(np.isnan(given), speeds, given)
 
 
 def _read_angles(directions: np.ndarray, path: Path) -> np.ndarray:

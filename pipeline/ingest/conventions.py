@@ -26,22 +26,18 @@ of it that makes the configured edge of the pulse.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.config.measured import (
     AmplitudeKind,
     AnyRecordingsConfig,
-    MeasuredConfig,
-    MeasuredRunConfig,
     PhaseSense,
     SpeedUnit,
     VectorConventionsConfig,
 )
 from pipeline.config.motion import to_motion
-from pipeline.data.dataset import Excitation
-from pipeline.data.excitation_files import run_excitations
 from pipeline.units import RAD_S_PER_RPM
 
 _TO_PEAK: dict[AmplitudeKind, float] = {"zero_to_peak": 1.0, "peak_to_peak": 0.5, "rms": math.sqrt(2.0)}
@@ -51,15 +47,17 @@ RAD_S: dict[SpeedUnit, float] = {"rpm": RAD_S_PER_RPM, "Hz": 2 * math.pi, "rad/s
 
 def describe_vectors(said: VectorConventionsConfig) -> str:
     """What complex numbers in a file are taken for."""
-    kind = said.amplitude.replace("_", "-")
-    return f"complex, {said.unit}, {kind}, angle a phase {said.phase}, speed in {said.speed}"
+    return (
+        f"complex, {said.unit}, {said.amplitude.replace('_', '-')}, angle a phase {said.phase}, speed in {said.speed}"
+    )
 
 
-def to_vectors(
-    amplitude: np.ndarray, phase: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense
+def read_vectors(
+    values: np.ndarray, said: VectorConventionsConfig, scale: str | None, frequencies: np.ndarray
 ) -> np.ndarray:
-    """Complex V in SI units, zero-to-peak, of amplitudes in units of ``size`` and phases in rad (any shape)."""
-    return to_lead(amplitude * np.exp(1j * phase), size, kind, sense)
+    """V in m of complex ``values`` of a probe of this ``scale``, at ``frequencies`` (rad/s, of their shape)."""
+    order, size = to_motion(said.unit, scale)
+    return to_displacement(to_lead(values, size, said.amplitude, said.phase), order, frequencies)
 
 
 def to_lead(values: np.ndarray, size: float, kind: AmplitudeKind, sense: PhaseSense) -> np.ndarray:
@@ -74,12 +72,6 @@ def to_displacement(vectors: np.ndarray, order: int, frequencies: np.ndarray) ->
         return vectors
     with np.errstate(divide="ignore", invalid="ignore"):  # at standstill, which is refused later
         return vectors / (1j * frequencies) ** order
-
-
-def list_acting(config: MeasuredConfig, run: MeasuredRunConfig) -> list[Excitation]:
-    """What excited a run; the phases of unbalances as angles from x at the pulse."""
-    turned = [(excitation, config.angle_from_x(excitation.phase)) for excitation in run_excitations(run)]
-    return [replace(each, phase=phase) if each.kind == "unbalance" else each for each, phase in turned]
 
 
 # --- back to what a table of records is written in ------------------------------------------------
@@ -113,12 +105,9 @@ class SourceUnits:
 
     def sizes(self, speeds: np.ndarray) -> np.ndarray:
         """(n, P) complex m: one unit of each probe's vector at these ``speeds`` (n,) rad/s."""
-        said, columns = self.recordings.vectors, []
-        for scale in [self.recordings.probes[name].scale for name in self.probes] or [None]:
-            order, size = to_motion(said.unit, scale)
-            unit = to_lead(np.ones(len(speeds), dtype=complex), size, said.amplitude, "lead")
-            columns.append(to_displacement(unit, order, speeds))
-        return np.stack(columns, axis=1)
+        scales = [self.recordings.probes[name].scale for name in self.probes] or [None]
+        ones = np.ones(len(speeds), dtype=complex)
+        return np.stack([read_vectors(ones, self.recordings.vectors, scale, speeds) for scale in scales], axis=1)
 
     def weights(self, unbalance: np.ndarray) -> np.ndarray:
         """Complex g mm, of ``unbalance`` in kg m: the angle is measured on the shaft as the recordings say."""

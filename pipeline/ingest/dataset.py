@@ -20,10 +20,11 @@ from pydantic import Field
 
 from pipeline.config.measured import MeasuredConfig, NoRecordingsConfig, SlowRollConfig
 from pipeline.config.runs import ProbeConfig, find_frequencies
-from pipeline.data.dataset import DIRECTIONS, VibrationDataset
+from pipeline.data.dataset import DIRECTIONS, VibrationDataset, place_rows
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.sensors import list_directions, name_channel
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import list_acting, to_vectors
+from pipeline.ingest.conventions import to_lead
 from pipeline.ingest.exciter import ExciterRecordingsConfig, FrequencyResponse
 from pipeline.ingest.operating import find_conditions, name_recordings, to_points
 from pipeline.ingest.plausibility import note_dead
@@ -104,7 +105,7 @@ def read_measured_runs(config: MeasuredConfig, contradiction: float = 0.05) -> M
     acting = [
         replace(excitation, run=label)
         for label, run in zip(labels, config.runs, strict=True)
-        for excitation in list_acting(config, run)
+        for excitation in run_excitations(run, config.angle_from_x)
     ]
     recorded = VibrationDataset(
         speeds,
@@ -144,25 +145,20 @@ def join_responses(config: MeasuredConfig, tests: Sequence[FrequencyResponse]) -
     lines = [(t, hz) for t, test in enumerate(tests) for hz in test.frequencies]
     names = [f"{tests[t].run.name} {write_number(hz, digits=8)} Hz" for t, hz in lines]
     channels, shares, _ = resolve([*config.probes.values()], np.eye(len(config.probes))[..., None])  # (P, Q, 1)
-    where, rows = at_speed[[t for t, _ in lines]], np.arange(len(lines))
-    displacement = np.zeros((len(rpm), len(channels), len(lines)), dtype=complex)
-    noise = np.zeros(displacement.shape)
-    displacement[where, :, rows] = np.concatenate([test.response for test in tests]) @ shares[..., 0]
-    noise[where, :, rows] = np.sqrt(np.concatenate([test.noise for test in tests]) ** 2 @ shares[..., 0] ** 2)
     acting = [
         replace(excitation, run=name)
         for (t, _), name in zip(lines, names, strict=True)
-        for excitation in list_acting(config, tests[t].run)
+        for excitation in run_excitations(tests[t].run, config.angle_from_x)
     ]
-    return VibrationDataset(
+    return place_rows(
         rpm * RAD_S_PER_RPM,
         tuple(names),
         channels,
-        displacement,
+        (at_speed[[t for t, _ in lines]], slice(None), np.arange(len(lines))),
+        np.concatenate([test.response for test in tests]) @ shares[..., 0],
         tuple(acting),
-        np.tile([2 * np.pi * hz for _, hz in lines], (len(rpm), 1)),
-        present=where == np.arange(len(rpm))[:, None],
-        noise=noise,
+        [2 * np.pi * hz for _, hz in lines],
+        np.sqrt(np.concatenate([test.noise for test in tests]) ** 2 @ shares[..., 0] ** 2),
     )
 
 
@@ -187,8 +183,8 @@ def remove_runout(run: RunTracks, slow_roll: SlowRollConfig) -> RunTracks:
             assert slow_roll.amplitude  # the schema has seen to it
             assert slow_roll.phase
             given = slow_roll.vectors[probe]
-            size, angle = np.array(given.amplitude), np.array(given.phase)
-            runout = complex(to_vectors(size, angle, 1.0, slow_roll.amplitude, slow_roll.phase))
+            vector = given.amplitude * np.exp(1j * np.array(given.phase))
+            runout = complex(to_lead(vector, 1.0, slow_roll.amplitude, slow_roll.phase))
         else:
             slow = run.slow[probe]
             vectors = slow.vectors[slow.speeds < slow_roll.below_rpm * RAD_S_PER_RPM]

@@ -23,11 +23,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from pipeline.config.measured import MeasuredConfig, TachoAngleConfig, Text
+from pipeline.config.measured import MeasuredConfig, TachoAngleConfig
 from pipeline.config.motion import Unit, to_motion
 from pipeline.config.quantities import Force, ShaftAngle
 from pipeline.config.runs import SpeedsConfig
-from pipeline.config.section import NonNegativeInt, Section, ascending, rule
+from pipeline.config.section import NonNegativeInt, Section, Text, ascending, rule
 from pipeline.errors import DataError
 from pipeline.ingest.conventions import to_displacement
 from pipeline.ingest.plausibility import note_clipping, note_ringing, note_sweep
@@ -162,8 +162,9 @@ class ExciterRecordingsConfig(StoredSignalsConfig, MeasuredConfig):
         ones, w = np.ones(len(lines), dtype=complex), 2 * np.pi * frequencies[lines]
         units = [to_motion(self.signal_unit, probe.scale) for probe in self.probes.values()]
         metres = np.stack([to_displacement(size * ones, order, w) for order, size in units], axis=1)
-        measured = (metres * response, np.abs(metres) * noise, coherence)
-        return FrequencyResponse(run, frequencies[lines], *measured, n, tuple(notes))
+        return FrequencyResponse(
+            run, frequencies[lines], metres * response, np.abs(metres) * noise, coherence, n, tuple(notes)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config.measured import MeasuredConfig, MeasuredRunConfig
-from pipeline.data.dataset import VibrationDataset
+from pipeline.data.dataset import VibrationDataset, place_rows
 from pipeline.data.operating import find_points, name_state, read_with_conditions
 from pipeline.data.tables import Columns
 from pipeline.errors import DataError, nearest
@@ -155,15 +155,7 @@ def to_points(
             f"recordings of one run must be at operating conditions of their own, but some of run '{twice}' have a "
             "speed at the same ones: give them other names, or a smaller machine.recordings.same_conditions"
         )
-    displacement = np.zeros((len(speeds), len(recorded.channels), len(runs)), dtype=complex)
-    present = np.zeros((len(speeds), len(runs)), dtype=bool)
-    run_speeds = np.repeat(speeds[:, None], len(runs), axis=1)
-    for g, group in enumerate(groups):
-        for r in group:
-            points, rows = place[seen[:, r], r], np.flatnonzero(seen[:, r])
-            displacement[points, :, g] = recorded.displacement[rows, :, r]
-            present[points, g] = True
-            run_speeds[points, g] = recorded.frequencies[rows, r]
+    at_run = np.array([next(g for g, group in enumerate(groups) if r in group) for r in range(seen.shape[1])])
     acting = tuple(
         replace(excitation, run=run)
         for run, group in zip(runs, groups, strict=True)
@@ -176,14 +168,14 @@ def to_points(
         for run, group in zip(runs, groups, strict=True)
         if len({names[r] for r in group}) > 1
     ]
-    made = replace(
-        recorded,
-        speeds=speeds,
-        runs=runs,
-        displacement=displacement,
-        excitations=acting,
-        own_frequencies=None if recorded.own_frequencies is None else run_speeds,
+    made = place_rows(
+        speeds,
+        runs,
+        recorded.channels,
+        (at, slice(None), at_run[np.nonzero(seen)[1]]),
+        recorded.readings,
+        acting,
+        () if recorded.own_frequencies is None else recorded.own_frequencies[seen],
         operating=operating,
-        present=present,
     )
     return made, notes

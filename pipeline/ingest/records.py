@@ -6,7 +6,7 @@ Legend: n records, S nominal speeds, P probes, N planes, R runs.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,17 +18,15 @@ from pipeline.config.measured import (
     MeasuredProbeConfig,
     MeasuredRunConfig,
     TachoAngleConfig,
-    Text,
     VectorConventionsConfig,
 )
-from pipeline.config.motion import to_motion
 from pipeline.config.quantities import to_si
-from pipeline.config.section import NonNegativeInt, Section, rule
+from pipeline.config.section import NonNegativeInt, Section, Text, rule
 from pipeline.data.csv_format import CsvConfig
-from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset
+from pipeline.data.dataset import SYNCHRONOUS, Excitation, VibrationDataset, place_rows
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, read_vectors
 from pipeline.ingest.tracks import LARGEST, format_rpm
 from pipeline.write_numbers import write_number
 
@@ -142,18 +140,16 @@ class RecordsConfig(MeasuredConfig):
         speeds = table[named.speed] * RAD_S[self.conventions.speed]
         if (speeds <= 0).any():
             raise DataError(f"'{path}' must have speeds above zero, but got {format_rpm(speeds.min())} rpm")
-        n_probes, said = len(probes), self.conventions
-        displacement = np.empty((len(speeds), n_probes), dtype=complex)
-        for p, probe in enumerate(self.probes.values()):
-            order, size = to_motion(said.unit, probe.scale)
-            displacement[:, p] = to_displacement(to_lead(values[:, p], size, said.amplitude, said.phase), order, speeds)
+        scales = [probe.scale for probe in self.probes.values()]
+        seen = [read_vectors(values[:, p], self.conventions, scale, speeds) for p, scale in enumerate(scales)]
+        displacement = np.stack(seen, axis=1)
         if np.nanmax(np.abs(displacement), initial=0.0) > LARGEST:
             raise DataError(
                 f"'{path}' must have amplitudes below {LARGEST:g} m, but got "
                 f"{write_number(np.nanmax(np.abs(displacement)), digits=3)} m: "
                 "check machine.recordings.conventions"
             )
-        weighed, sizes = values[:, n_probes:], np.array([weight.size for weight in self.weights])
+        weighed, sizes = values[:, len(scales) :], np.array([weight.size for weight in self.weights])
         angles = np.vectorize(self.angle_from_x)(np.angle(weighed))
         return Records(
             source=f"'{path}'",
@@ -181,18 +177,6 @@ class Records:
     displacement: np.ndarray  # (n, P) complex, m, zero-to-peak, Q of Re(Q e^{jwt}); NaN where it is blank
     planes: tuple[int, ...]  # N nodes
     unbalance: np.ndarray  # (n, N) complex, kg m e^{jp} with the angle p from x at the pulse; NaN where it is blank
-
-    def select(self, rows: np.ndarray) -> Records:
-        """The ``rows`` (mask or indices) alone."""
-        keep = np.arange(len(self.conditions))[rows]
-        return replace(
-            self,
-            conditions=tuple(self.conditions[i] for i in keep),
-            numbers=tuple(self.numbers[i] for i in keep),
-            speeds=self.speeds[keep],
-            displacement=self.displacement[keep],
-            unbalance=self.unbalance[keep],
-        )
 
 
 def find_speeds(speeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -236,10 +220,6 @@ def to_dataset(records: Records, most_places: int = 1_000_000, most_empty: float
             f"{records.source} must have every record of a condition at most once at each speed, but '{runs[r]}' is "
             f"there {counts[s, r]} times near {format_rpm(nominal[s])} rpm: number them apart (columns.record)"
         )
-    displacement = np.zeros((len(nominal), len(records.channels), len(runs)), dtype=complex)
-    run_speeds = np.repeat(nominal[:, None], len(runs), axis=1)
-    displacement[group, :, at_run] = records.displacement
-    run_speeds[group, at_run] = records.speeds
     first = {name: i for i, name in reversed(list(enumerate(names)))}
     conditions = tuple(records.conditions[first[run]] for run in runs)
     excitations = tuple(
@@ -247,15 +227,9 @@ def to_dataset(records: Records, most_places: int = 1_000_000, most_empty: float
         for run in runs
         for node, u in zip(records.planes, records.unbalance[first[run]], strict=True)
     )
-    return VibrationDataset(
-        nominal,
-        runs,
-        records.channels,
-        displacement,
-        excitations,
-        run_speeds,
-        conditions=conditions,
-        present=counts > 0,
+    at = group, slice(None), at_run
+    return place_rows(
+        nominal, runs, records.channels, at, records.displacement, excitations, records.speeds, conditions=conditions
     )
 
 

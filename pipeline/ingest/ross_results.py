@@ -18,9 +18,9 @@ from pydantic import Field
 from pipeline.config.measured import MeasuredConfig, MeasuredProbeConfig, MeasuredRunConfig, TachoAngleConfig
 from pipeline.config.section import rule
 from pipeline.data.dataset import Excitation, project_direction
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import list_acting
 from pipeline.ingest.tracks import RunTracks, sort_track
 
 _KIND = "ForcedResponseResults"
@@ -43,38 +43,33 @@ class RossRecordingsConfig(MeasuredConfig):
         """What the numbers in the files are taken for."""
         return "complex, m, zero-to-peak, of ROSS"
 
-    def read(self) -> tuple[RunTracks, ...]:
-        """The 1X vectors of all runs.
+    def read_run(self, run: MeasuredRunConfig, path: Path, dof: int = 6) -> RunTracks:
+        """The 1X vectors of a run of ROSS, which has so many ``dof`` a node.
 
         Raises DataError: no such file, another result of ROSS, JSON (ROSS writes no complex numbers there), a node that
         the rotor of the file has not, other unbalances than the configuration's.
         """
-        return tuple(_read_run(self, run) for run in self.runs)
-
-
-def _read_run(config: RossRecordingsConfig, run: MeasuredRunConfig, dof: int = 6) -> RunTracks:
-    """The 1X vectors of a run of ROSS, which has so many ``dof`` a node."""
-    path = Path(run.sources(config.file)[0])
-    with open_measured(path, "response that ROSS saved", _NEXT):
-        content = _load(path)
-        speeds = np.asarray(content["speed_range"], dtype=float)
-        response = _to_complex(path, content["forced_resp"])
-        if response.ndim != 2 or response.shape[1] != len(speeds):
-            raise DataError(
-                f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} speeds"
-            )
-        _check_unbalances(path, content.get("unbalance"), list_acting(config, run))
-    tracks = {}
-    for name, probe in config.probes.items():
-        if dof * probe.node + 1 >= len(response):
-            raise DataError(
-                f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // dof} "
-                "nodes: is it of another rotor?"
-            )
-        x, y = response[dof * probe.node], response[dof * probe.node + 1]
-        direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
-        tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
-    return RunTracks(run.name, f"'{path}'", tracks, tracks)
+        with open_measured(path, "response that ROSS saved", _NEXT):
+            content = _load(path)
+            speeds = np.asarray(content["speed_range"], dtype=float)
+            response = _to_complex(path, content["forced_resp"])
+            if response.ndim != 2 or response.shape[1] != len(speeds):
+                raise DataError(
+                    f"'{path}' must have a value a speed and DOF, but its shape is {response.shape} of {len(speeds)} "
+                    "speeds"
+                )
+            _check_unbalances(path, content.get("unbalance"), run_excitations(run, self.angle_from_x))
+        tracks = {}
+        for name, probe in self.probes.items():
+            if dof * probe.node + 1 >= len(response):
+                raise DataError(
+                    f"'{path}' must have the node {probe.node} of probe '{name}', but it has {len(response) // dof} "
+                    "nodes: is it of another rotor?"
+                )
+            x, y = response[dof * probe.node], response[dof * probe.node + 1]
+            direction = project_direction(float(np.round(np.degrees(probe.angle), 9)))
+            tracks[name] = sort_track(speeds, x * direction[0] + y * direction[1], f"'{path}', probe '{name}',")
+        return RunTracks(run.name, f"'{path}'", tracks, tracks)
 
 
 def _load(path: Path) -> dict[str, Any]:

@@ -9,12 +9,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from pipeline.config.measured import ConventionsConfig, PhaseSense, Text
+from pipeline.config.measured import ConventionsConfig, PhaseSense
 from pipeline.config.motion import Sensitivity, find_volts, to_motion
-from pipeline.config.section import Section, ascending, rule
+from pipeline.config.section import Section, Text, ascending, rule
 from pipeline.data.tables import read_table
 from pipeline.errors import DataError
-from pipeline.ingest.conventions import RAD_S, to_vectors
+from pipeline.ingest.conventions import RAD_S, to_lead
 from pipeline.ingest.tracks import sort_track
 from pipeline.sweep.fit import RunUp, measure_rate
 from pipeline.units import RAD_S_PER_RPM
@@ -76,7 +76,8 @@ def read_run_up(config: RunUpConfig, straight: float = 0.01) -> RunUp:
     speeds = table[names.speed] * RAD_S[config.speed]
     phases = np.radians(table[names.phase]) if config.phase_unit == "deg" else table[names.phase]
     size = to_motion(config.unit, config.scale)[1]
-    vectors = to_vectors(table[names.amplitude], phases, size, config.amplitude, config.phase or "lead")
+    values = table[names.amplitude] * np.exp(1j * phases)
+    vectors = to_lead(values, size, config.amplitude, config.phase or "lead")
     on_ramp = (speeds >= config.from_rpm * RAD_S_PER_RPM) & (speeds <= config.to_rpm * RAD_S_PER_RPM)
     speeds, vectors = speeds[on_ramp], vectors[on_ramp]
     where = f"'{path}' from {config.from_rpm:g} to {config.to_rpm:g} rpm"

@@ -19,16 +19,14 @@ from pipeline.config.measured import (
     MeasuredProbeConfig,
     MeasuredRunConfig,
     TachoAngleConfig,
-    Text,
 )
-from pipeline.config.motion import to_motion
 from pipeline.config.operating import ConditionColumns
 from pipeline.config.runs import check_frequency, find_frequencies
-from pipeline.config.section import Section, rule
+from pipeline.config.section import Section, Text, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.data.tables import Columns, is_csv, read_table
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, to_displacement, to_vectors
+from pipeline.ingest.conventions import RAD_S, read_vectors
 from pipeline.ingest.tracks import RunTracks, Track, sort_track
 from pipeline.write_numbers import write_number
 
@@ -104,45 +102,41 @@ class TableRecordingsConfig(MeasuredConfig):
             f"{said.speed}"
         )
 
-    def read(self) -> tuple[RunTracks, ...]:
-        """The 1X vectors of all runs, each from its file.
+    def read_run(self, run: TableRunConfig, path: Path) -> RunTracks:
+        """The 1X vectors of a run.
 
         Raises DataError; see :func:`pipeline.data.tables.read_table` for what a table must be.
         """
-        return tuple(_read_run(self, run, Path(run.sources(self.file)[0])) for run in self.runs)
-
-
-def _read_run(config: TableRecordingsConfig, run: TableRunConfig, path: Path) -> RunTracks:
-    named, wide = config.columns, config.layout == "wide"
-    pairs: dict[str, ColumnPairConfig | TableColumnsConfig] = {
-        name: (wide and (run.columns.get(name) or probe.columns)) or named for name, probe in config.probes.items()
-    }
-    columns = [column for pair in pairs.values() for column in (pair.amplitude, pair.phase)]
-    columns += [condition.column for condition in named.conditions.values()]
-    labels = {} if wide else {named.run: "text", named.probe: "text"}
-    kinds, text = labels | dict.fromkeys((named.speed, *columns), "number"), config.csv.on(run.sheet)
-    table = read_table(path, kinds, text=text)
-    table = table if wide else _select_run(config, run, table, path)
-    tracks, phases = {}, []
-    for name, pair in pairs.items():
-        rows, where = table, f"'{path}'"
-        if not wide:
-            label = config.probes[name].label or name
-            law = f"'{path}' must have rows of probe '{label}' in run '{run.name}'"
-            rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
-        tracks[name] = _make_track(config, run, name, rows, pair, where)
-        phases.append(rows[pair.phase])
-    notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
-    notes += _note_unit(np.concatenate(phases), config.conventions.phase_unit, path)
-    speeds, at = np.unique(table[named.speed], return_inverse=True)
-    conditions = {  # the mean of the rows of a speed
-        name: (
-            speeds * RAD_S[config.conventions.speed],
-            np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
-        )
-        for name, condition in named.conditions.items()
-    }
-    return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions)
+        named, wide = self.columns, self.layout == "wide"
+        pairs: dict[str, ColumnPairConfig | TableColumnsConfig] = {
+            name: (wide and (run.columns.get(name) or probe.columns)) or named for name, probe in self.probes.items()
+        }
+        columns = [column for pair in pairs.values() for column in (pair.amplitude, pair.phase)]
+        columns += [condition.column for condition in named.conditions.values()]
+        labels = {} if wide else {named.run: "text", named.probe: "text"}
+        kinds, text = labels | dict.fromkeys((named.speed, *columns), "number"), self.csv.on(run.sheet)
+        table = read_table(path, kinds, text=text)
+        table = table if wide else _select_run(self, run, table, path)
+        tracks, phases = {}, []
+        for name, pair in pairs.items():
+            rows, where = table, f"'{path}'"
+            if not wide:
+                label = self.probes[name].label or name
+                law = f"'{path}' must have rows of probe '{label}' in run '{run.name}'"
+                rows, where = _select(table, named.probe, label, law), f"'{path}', run '{run.name}', probe '{label}',"
+            tracks[name] = _make_track(self, run, name, rows, pair, where)
+            phases.append(rows[pair.phase])
+        notes = describe_format(path, kinds, text) + note_cut(path) if is_csv(path) else ()
+        notes += _note_unit(np.concatenate(phases), self.conventions.phase_unit, path)
+        speeds, at = np.unique(table[named.speed], return_inverse=True)
+        conditions = {  # the mean of the rows of a speed
+            name: (
+                speeds * RAD_S[self.conventions.speed],
+                np.bincount(at.ravel(), condition.to_si(table[condition.column])) / np.bincount(at.ravel()),
+            )
+            for name, condition in named.conditions.items()
+        }
+        return RunTracks(run.name, f"'{path}'", tracks, tracks, notes, conditions=conditions)
 
 
 def _select_run(config: TableRecordingsConfig, run: TableRunConfig, table: Columns, path: Path) -> Columns:
@@ -180,10 +174,8 @@ def _make_track(
             f"{amplitude.min():g}: write it positive, with its phase turned by 180 deg"
         )
     angle = np.radians(phase) if said.phase_unit == "deg" else phase
-    order, size = to_motion(said.unit, config.probes[probe].scale)
-    vectors = to_vectors(amplitude, angle, size, said.amplitude, said.phase)
-    speeds = table[config.columns.speed] * RAD_S[said.speed]
-    shown = to_displacement(vectors, order, find_frequencies(run, speeds))
+    speeds, values = table[config.columns.speed] * RAD_S[said.speed], amplitude * np.exp(1j * angle)
+    shown = read_vectors(values, said, config.probes[probe].scale, find_frequencies(run, speeds))
     return sort_track(speeds, shown, where, at_rest=bool(run.frequency_hz))
 
 

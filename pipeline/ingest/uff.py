@@ -13,12 +13,12 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pipeline.config.measured import MeasuredProbeConfig, MeasuredRunConfig, Text, VectorConventionsConfig
+from pipeline.config.measured import MeasuredProbeConfig, MeasuredRunConfig, VectorConventionsConfig
 from pipeline.config.motion import KINDS, find_motion, to_motion
-from pipeline.config.section import Section, rule
+from pipeline.config.section import Section, Text, rule
 from pipeline.data.mat_files import open_measured
 from pipeline.errors import DataError, nearest
-from pipeline.ingest.conventions import RAD_S, describe_vectors, to_displacement, to_lead
+from pipeline.ingest.conventions import RAD_S, describe_vectors, read_vectors
 from pipeline.ingest.order_tracking import Signals
 from pipeline.ingest.recordings import check_channels, check_times
 from pipeline.ingest.tracks import RunTracks, sort_track
@@ -252,12 +252,10 @@ def _read_functions(
             raise DataError(
                 f"{where} must have complex values (amplitude and phase), but they are real: export order 1 as complex"
             )
-        order, size = to_motion(said.unit, probe.scale)
-        _check_content(record, order, where)
+        _check_content(record, to_motion(said.unit, probe.scale)[0], where)
         notes += _note_contradictions(record, metre, said, where)
-        vectors = to_lead(record.values, size, said.amplitude, said.phase)
         speeds = record.abscissa * RAD_S[said.speed]
-        tracks[name] = sort_track(speeds, to_displacement(vectors, order, speeds), where)
+        tracks[name] = sort_track(speeds, read_vectors(record.values, said, probe.scale, speeds), where)
     return RunTracks(run.name, f"'{path}'", tracks, tracks, tuple(dict.fromkeys(notes)))
 
 

@@ -17,11 +17,10 @@ from pipeline.config.measured import (
     MeasuredRunConfig,
     OrderTrackingConfig,
     TachoAngleConfig,
-    Text,
 )
 from pipeline.config.motion import Unit, to_motion
 from pipeline.config.quantities import Frequency
-from pipeline.config.section import Section, rule
+from pipeline.config.section import Section, Text, rule
 from pipeline.data.csv_format import CsvConfig, describe_format
 from pipeline.errors import DataError
 from pipeline.files import hash_file, hash_parts, keep, look_up

@@ -173,12 +173,10 @@ def configure_sensors(config: Config, rotor: RotorModel) -> Sensors:
         channels = tuple(name_channel(place_probe(rotor, "machine.probes.at", probe), probe.angle) for probe in spec.at)
     return Sensors(
         channels,
-        spec.additive,
-        spec.multiplicative,
+        NoiseModel(spec.additive, spec.multiplicative, floors=_state_floors(config, rotor, channels or ())),
         spec.runout,
         spec.quantisation,
         spec.slow_roll_readings,
-        _state_floors(config, rotor, channels or ()),
     )
 
 

@@ -200,19 +200,17 @@ def test_a_file_that_is_no_machine(text: str, words: list[str], folder: Path) ->
 
 def test_a_path_that_is_no_file(folder: Path) -> None:
     path = machine_file(folder)
-    with refused("there is no file", "did you mean 'pump one.yaml'?", "stage=new", kind=ConfigError):
-        compose_config([given_by(folder / "pump_one.yaml")])
-    with refused("is a folder", "pump one.yaml", kind=ConfigError):
-        compose_config([given_by(folder)])
-    path.write_bytes(b"\xff\xfe\x00r")
-    with refused("UTF-8", kind=ConfigError):
-        compose_config([given_by(path)])
-    with refused("must be the path of a machine file", kind=ConfigError):
-        compose_config(["machine.file=3"])
-    with refused("must be one file", kind=ConfigError), prepare_for_hydra(["machine.file=a.yaml,b.yaml"], None):
-        pass
-    with refused("must have one machine", kind=ConfigError):
-        compose_config(["machine=one_disc", given_by(machine_file(folder))])
+    (folder / "bytes").write_bytes(b"\xff\xfe\x00r")
+    for overrides, *words in (
+        ([given_by(folder / "pump_one.yaml")], "there is no file", "did you mean 'pump one.yaml'?", "stage=new"),
+        ([given_by(folder)], "is a folder", "pump one.yaml"),
+        ([given_by(folder / "bytes")], "UTF-8"),
+        (["machine.file=3"], "must be the path of a machine file"),
+        (["machine.file=a.yaml,b.yaml"], "must be one file"),
+        (["machine=one_disc", given_by(path)], "must have one machine"),
+    ):
+        with refused(*words, kind=ConfigError), prepare_for_hydra(overrides, None):
+            pass
 
 
 @pytest.mark.parametrize(

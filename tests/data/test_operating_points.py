@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 from conftest import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reading import read_rows
 
 from pipeline.data.coefficient_files import read_coefficients, write_coefficients
 from pipeline.data.dataset import EVERYWHERE, Excitation, VibrationDataset
@@ -50,15 +51,6 @@ def rows_of(dataset: VibrationDataset, folder: Path) -> tuple[Path, list[list[st
     return path, list(csv.reader(path.read_text().splitlines()))
 
 
-def read(
-    folder: Path, rows: list[list[str]], baseline: str | None = None, same: Mapping[str, float] | None = None
-) -> VibrationDataset:
-    path = folder / "theirs.csv"
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
-    return read_measured(path, folder / "excitation.csv", baseline, same=same)
-
-
 @settings(max_examples=8, deadline=None)
 @given(
     rpm=st.lists(st.integers(1, 60), min_size=1, max_size=4, unique=True),
@@ -94,7 +86,7 @@ def test_what_is_written_is_read_in_the_same_order_whatever_the_order_of_the_row
     assert (found.present == present).all()
     if ending == "csv":
         header, *rows = csv.reader((folder / "vibration.csv").read_text().splitlines())
-        again = read(folder, [header, *(rows[i] for i in random.permutation(len(rows)))])
+        again = read_rows(folder, [header, *(rows[i] for i in random.permutation(len(rows)))])
         assert again.fingerprint == found.fingerprint
 
 
@@ -108,7 +100,7 @@ def test_other_units_and_names_of_other_programs_are_read(tmp_path: Path) -> Non
     _, (header, *rows) = rows_of(grid(), tmp_path)
     own = [[*header[:2], "oil_temperature_degF", "drain_degC", "comment", *header[4:]]]
     own += [[*row[:2], str(1.8 * float(row[2]) + 32), row[3], "x", *row[4:]] for row in rows]
-    found = read(tmp_path, own)
+    found = read_rows(tmp_path, own)
     np.testing.assert_allclose(np.unique(found.operating["oil_temperature"].round(9)), KELVIN)
     assert set(found.operating) == {"oil_temperature", "drain_degC"}
     again, _ = rows_of(found, tmp_path)
@@ -144,18 +136,18 @@ def _read_as(row: int, text: str) -> Callable[[Rows], Rows]:
 def test_conditions_that_break_a_law_are_refused(change: Callable[[Rows], Rows], words: str, tmp_path: Path) -> None:
     _, rows = rows_of(grid(), tmp_path)
     with refused(words):
-        read(tmp_path, change(rows))
+        read_rows(tmp_path, change(rows))
 
 
 def test_a_run_may_lack_points_but_not_channels(tmp_path: Path) -> None:
     _, (header, *rows) = rows_of(grid(), tmp_path)
-    found = read(tmp_path, [header, *rows[2:]])
+    found = read_rows(tmp_path, [header, *rows[2:]])
     assert not found.complete
     assert found.present.tolist() == [[False, True], *[[True, True]] * 7]
     assert (found.displacement[0, :, 0] == 0).all()
     with refused("every channel at every speed of a run", "run 'a', 100 rpm, 45 degC, 500 N, node 0 x"):
-        read(tmp_path, [header, *rows[1:]])
-    single = read(tmp_path, [header, *[row for row in rows if row[2:4] == ["45.0", "500.0"]][2:]])
+        read_rows(tmp_path, [header, *rows[1:]])
+    single = read_rows(tmp_path, [header, *[row for row in rows if row[2:4] == ["45.0", "500.0"]][2:]])
     assert single.present.tolist() == [[False, True], [True, True]]
 
 
@@ -163,8 +155,8 @@ def test_conditions_within_the_tolerance_are_one_point_with_their_mean(tmp_path:
     """The oil is never quite as warm in the next run."""
     _, (header, *rows) = rows_of(grid(), tmp_path)
     rows = [[*row[:2], str(float(row[2]) + 0.3 * (row[0] == "b")), *row[3:]] for row in rows]
-    apart = read(tmp_path, [header, *rows])
-    joined = read(tmp_path, [header, *rows], same={"oil_temperature": 0.31})
+    apart = read_rows(tmp_path, [header, *rows])
+    joined = read_rows(tmp_path, [header, *rows], same={"oil_temperature": 0.31})
     assert not apart.complete
     assert (len(apart.speeds), apart.present.sum()) == (16, 16)
     assert joined.complete
@@ -194,7 +186,7 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
     (tmp_path / "excitation.csv").write_text("run,kind,node,magnitude,phase_deg,whirl\na,unbalance,1,1e-4,0,forward\n")
     of_a = [row for row in rows if row[0] == "a"]
     of_b = [row for row in rows if row[0] == "b"]
-    found = read(tmp_path, [header, *of_a[2:], *of_b], baseline="b")  # 'b' alone was measured at the first point
+    found = read_rows(tmp_path, [header, *of_a[2:], *of_b], baseline="b")  # 'b' alone was measured at the first point
     assert found.runs == ("a",)
     assert len(found.speeds) == 7
     assert found.complete
@@ -202,7 +194,7 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
     with refused(
         "the baseline 'b' must be measured at the speeds and conditions of the other runs", "run 'a', 100 rpm"
     ):
-        read(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
+        read_rows(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
 
 
 def table_at(speeds: np.ndarray, operating: dict[str, np.ndarray]) -> BearingTable:

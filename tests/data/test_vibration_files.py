@@ -11,6 +11,7 @@ import pytest
 from conftest import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from reading import read_rows
 from small_rotor import small_machine
 
 from pipeline import default_setup, fit
@@ -50,20 +51,13 @@ def table(files: Path) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def with_rows(files: Path, rows: list[list[str]], header: list[str]) -> VibrationDataset:
-    path = files / "theirs.csv"
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows([header, *rows])
-    return read_measured(path, files / "excitation.csv", "found", 3)
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 @given(order=st.permutations(range(27)))
 def test_rows_in_any_order_are_the_same_measurement_bit_for_bit(order: list[int], files: Path) -> None:
     """Channel by channel, descending, or mixed: what a fit reads does not change."""
     header, rows = table(files)
     sorted_one = read_measured(files / "vibration.csv", files / "excitation.csv", "found", 3)
-    found = with_rows(files, [rows[i] for i in order], header)
+    found = read_rows(files, [header, *(rows[i] for i in order)], "found", 3)
     assert found.fingerprint == sorted_one.fingerprint
     assert found.runs == ("weights", "force")
     assert (np.diff(found.speeds) > 0).all()
@@ -77,7 +71,7 @@ def test_a_row_that_is_there_twice_is_named(row: int, files: Path) -> None:
     run, rpm, node, direction = rows[row][:4]
     words = f"the first: run '{run}', {float(rpm):g} rpm, node {node} {direction})"
     with refused("must have one row a run, speed, node and direction", words):
-        with_rows(files, [*rows[::-1], rows[row]], header)
+        read_rows(files, [header, *rows[::-1], rows[row]], "found", 3)
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def clean_of(machine: Machine, *more: Excitation) -> VibrationDataset:
 def measured(machine: Machine, clean: VibrationDataset, seed: int, size: float = 0.03) -> Measurement:
     """The runs less the baseline, each read with the same floor of noise."""
     floor = size * float(np.median(np.abs(clean.displacement)))
-    sensors = Sensors(list_directions((1, 5)), additive=floor)
+    sensors = Sensors(list_directions((1, 5)), NoiseModel(floor, 0.0))
     data = subtract_baseline(measure(clean, sensors, np.random.default_rng(seed)), "as_found")
     known = bearings_of((1, 5), machine.speeds, **TRUTH)
     return replace(machine.measured(data, CONFIG), noise=NoiseModel(floor, 0.0), known=known)

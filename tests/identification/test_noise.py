@@ -12,7 +12,7 @@ from conftest import DATA, Artifacts
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.sensors import Sensors, list_directions, measure
+from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure
 from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
@@ -47,7 +47,7 @@ class Ready:
     def measured_again(self, noise: float = 0.01) -> Callable[[], Measurement]:
         """A function that measures the machine once more, with other noise."""
         machine = simulate(self.measurement.rotor, self.modelled, configure_excitations(self.config))
-        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), multiplicative=noise)
+        sensors = Sensors(list_directions(self.measurement.rotor.bearing_nodes), NoiseModel(0.0, noise))
         generator = np.random.default_rng(0)
         return lambda: replace(self.measurement, dataset=measure(machine, sensors, generator))
 

@@ -39,7 +39,7 @@ def rotor_of(machine: MachineFactory) -> Machine:
 def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:
     """Probes at the bearings with multiplicative noise."""
     clean = simulate(machine.rotor, machine.bearings, (*machine.excitations, *more))
-    sensors = Sensors(list_directions(machine.rotor.bearing_nodes), multiplicative=noise)
+    sensors = Sensors(list_directions(machine.rotor.bearing_nodes), NoiseModel(0.0, noise))
     return measure(clean, sensors, np.random.default_rng(seed))
 
 
@@ -95,7 +95,7 @@ def full_problem(rotor_of: Machine) -> OutputErrorFit:
     """A problem with cross-coupled coefficients, a shaker's own frequency and a balance plane."""
     own = np.stack([*[rotor_of.speeds] * 3, np.full(len(rotor_of.speeds), 200.0)], axis=1)
     clean = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD), own)
-    dataset = measure(clean, Sensors(PROBES, multiplicative=0.01), np.random.default_rng(1))
+    dataset = measure(clean, Sensors(PROBES, NoiseModel(0.0, 0.01)), np.random.default_rng(1))
     return fit_of(
         rotor_of, dataset, 0.01, "identify.unknowns=[kxx,kxy,kyx,kyy]", "identify.unbalance_planes=[2]", "model.width=5"
     )
@@ -147,7 +147,7 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
     runs = dict.fromkeys(e.run for e in rotor_of.excitations)
     hidden = tuple(Excitation(run, "unbalance", 4, 3e-5, 1.0) for run in runs)
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
-    sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), multiplicative=1e-3)
+    sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), NoiseModel(0.0, 1e-3))
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
     assert abs(conclude(with_plane).uncertainty.residual_unbalance[0] - 3e-5 * np.exp(1j)) < 1e-3 * 3e-5
@@ -175,7 +175,7 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
 ) -> None:
     """Three probes, four bearing forces: there is no linear start. At all 591 speeds: 0.5 % (docs/noise.md)."""
     whole = machine("experiment=noisy_stiffness")
-    sensors = Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), multiplicative=0.01)
+    sensors = Sensors(((1, 45.0), (1, 135.0), (5, 10.0)), NoiseModel(0.0, 0.01))
     dataset = measure(whole.dataset, sensors, np.random.default_rng(0))
     fit = fit_of(whole, dataset, 0.01, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess
@@ -185,7 +185,7 @@ def test_sensors_too_few_for_the_forces_find_the_same_answer_from_any_guess(
 
 @pytest.mark.slow
 def test_one_probe_cannot_tell_all_coefficients(rotor_of: Machine) -> None:
-    dataset = measure(rotor_of.dataset, Sensors(((2, 0.0),), multiplicative=0.01), np.random.default_rng(0))
+    dataset = measure(rotor_of.dataset, Sensors(((2, 0.0),), NoiseModel(0.0, 0.01)), np.random.default_rng(0))
     config = compose_config(["experiment=noisy_stiffness", "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"])
     with pytest.raises(IdentifiabilityError, match="more than 4 of 16 unknowns at a speed"):
         fit(rotor_of.measured(dataset, config), setup_of(config))
@@ -222,7 +222,7 @@ def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: 
     every = (*rotor_of.excitations, *tuple(replace(e, run=f"{e.run}_again") for e in rotor_of.excitations))
     hidden = tuple(Excitation(run, "unbalance", 2, 3e-5, 2.0) for run in (*runs, *(f"{run}_again" for run in runs)))
     clean = replace(simulate(rotor_of.rotor, rotor_of.bearings, (*every, *hidden)), excitations=every)
-    sensors = Sensors(list_directions((1, 5)), multiplicative=0.02)
+    sensors = Sensors(list_directions((1, 5)), NoiseModel(0.0, 0.02))
     fit = fit_of(rotor_of, measure(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")
     np.testing.assert_allclose(fit.factor, 2.0, rtol=0.15)
     assert mean_square(fit) > 8
@@ -278,7 +278,7 @@ def test_one_location_starts_from_a_filter(rotor_of: Machine, guess: str) -> Non
 
     x and y between the discs alone are two readings a run for four bearing forces.
     """
-    between = Sensors(list_directions((3,)), multiplicative=1e-3)
+    between = Sensors(list_directions((3,)), NoiseModel(0.0, 1e-3))
     dataset = measure(rotor_of.dataset, between, np.random.default_rng(1))
     fit = fit_of(rotor_of, dataset, 1e-3, f"model.initial_stiffness={guess}")
     assert fit.start.from_guess

@@ -11,12 +11,10 @@ import pandas as pd
 import pytest
 import scipy.io
 from conftest import refused
-from measured_files import long, probes_config, rotating, table_config, tacho_of, wide
-from reading import GRID, RPM, RUNS, TURNS, check_read, read, response, seen, waves
+from measured_files import long, probes_config, table_config, wide
+from reading import GRID, RUNS, TURNS, check_read, check_steady, read, seen, steady, waves
 
 from pipeline.data.mat_files import read_mat
-
-TIME = np.arange(20000) / 5000
 
 
 def tables() -> pd.DataFrame:
@@ -101,21 +99,12 @@ def test_wide_tables_in_structs_and_matrices(write: Any, tmp_path: Path) -> None
     ids=["sample_rate", "variable", "time"],
 )
 def test_waveforms(write: Any, clock: dict[str, Any], tmp_path: Path) -> None:
-    files = []
-    for i, rpm in enumerate((903.0, 1502.0)):
-        w = rpm * RPM
-        signals = {name: 1e6 * rotating(vector, w * TIME) for name, vector in seen(0.0, np.array([rpm])).of.items()}
-        content = {"probe": signals, "tacho": tacho_of(w * TIME), "fs": 5000.0, "t": 1e3 * TIME}
-        files.append(str(write(tmp_path / f"{i}.mat", content)))
-    section = waves(
-        records="constant_speed",
-        signal_unit="um",
-        speeds=None,
-        probes=probes_config(channel=lambda name: f"probe.{name}"),
-        runs=[RUNS[0] | {"files": files}],
-    )
-    true = np.stack(response(0, 0.0, np.array([903.0, 1502.0])), axis=1)
-    assert np.abs(read(section | clock).displacement[:, :2, 0] - true).max() < 1e-3 * np.abs(true).max()
+    def write_channels(name: str, channels: dict[str, np.ndarray]) -> Path:
+        clocks = {"fs": 5000.0, "t": 1e3 * channels.pop("time"), "tacho": channels.pop("tacho")}
+        return Path(write(tmp_path / f"{name}.mat", {"probe": channels} | clocks))
+
+    probes = probes_config(channel=lambda name: f"probe.{name}")
+    check_steady(steady(write_channels, probes=probes) | clock)
 
 
 @pytest.mark.parametrize("write", WRITERS)

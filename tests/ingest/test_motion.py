@@ -15,14 +15,25 @@ from measured_files import (
     CONVENTIONS,
     TO_PEAK,
     probes_config,
-    rotating,
     table_config,
-    tacho_of,
     uff_set,
     write_hdf5,
     write_uff,
 )
-from reading import GRID, RPM, RUNS, TURNS, check_read, parsed, read, response, seen, waves, with_ingest
+from reading import (
+    GRID,
+    RPM,
+    RUNS,
+    TURNS,
+    check_read,
+    check_steady,
+    long_table,
+    parsed,
+    read,
+    seen,
+    steady,
+    with_ingest,
+)
 
 from pipeline.config.motion import find_motion, to_motion
 from pipeline.errors import ConfigError
@@ -64,13 +75,11 @@ def test_the_velocity_of_a_known_displacement_gives_it_back(
 ) -> None:
     """Accelerations, too, in any unit, and of forces with a frequency of their own."""
     kind, name, size = unit
-    path = tmp_path_factory.mktemp("motion") / "all.csv"
-    moved(["length", "velocity", "acceleration"].index(kind), size, ratio or 1.0, amplitude).to_csv(path, index=False)
     force = [{"node": 1, "magnitude": "1 N", "phase": "0 deg", "whirl": "forward"}]
-    section = table_config(
+    section = long_table(
+        tmp_path_factory.mktemp("motion"),
+        moved(["length", "velocity", "acceleration"].index(kind), size, ratio or 1.0, amplitude),
         [{"name": run["name"], "forces": force, "frequency_ratio": ratio} for run in RUNS] if ratio else RUNS,
-        "long",
-        file=str(path),
         conventions=said(kind, name, amplitude=amplitude),
         probes=probes_config(**ON),
     )
@@ -88,12 +97,9 @@ def test_the_velocity_of_a_known_displacement_gives_it_back(
 )
 def test_a_table_of_voltages(scale: str, order: int, volts: float, tmp_path: Path) -> None:
     """By the sensitivity of each probe; in mV."""
-    path = tmp_path / "all.csv"
-    moved(order, 1e-3 / volts).to_csv(path, index=False)
-    section = table_config(
-        RUNS,
-        "long",
-        file=str(path),
+    section = long_table(
+        tmp_path,
+        moved(order, 1e-3 / volts),
         conventions=said("voltage", "mV", amplitude="zero_to_peak"),
         probes=probes_config(scale=lambda name: scale, **(ON if order else {})),
     )
@@ -134,25 +140,15 @@ def test_functions_of_universal_files(kind: str, unit: str, of: int, order: int,
 
 
 def test_time_signals_of_velocity(tmp_path: Path) -> None:
-    """At constant speed the derivative of Re(V e^{jwt}) is Re(j w V e^{jwt}); in mm/s, and in volts."""
-    files, time = [], np.arange(20000) / 5000
-    for i, rpm in enumerate((903.0, 1502.0)):
-        w = rpm * RPM
-        signals = {
-            name: 1e3 * rotating(1j * w * vector, w * time) for name, vector in seen(0.0, np.array([rpm])).of.items()
-        }
-        files.append(str(write_hdf5(tmp_path / f"{i}.h5", signals | {"tacho": tacho_of(w * time)})))
-    section = waves(
-        records="constant_speed",
-        signal_unit="mm/s",
+    """At constant speed the derivative of Re(V e^{jwt}) is Re(j w V e^{jwt}); in um/s, and in volts."""
+    section = steady(
+        lambda name, channels: write_hdf5(tmp_path / f"{name}.h5", channels),
+        1,
+        signal_unit="um/s",
         probes=probes_config(channel=lambda name: name, **ON),
-        speeds=None,
-        runs=[RUNS[0] | {"files": files}],
     )
-    found = read(section)
-    true = np.stack(response(0, 0.0, np.array([903.0, 1502.0])), axis=1)
-    assert np.abs(found.displacement[:, :2, 0] - true).max() < 1e-3 * np.abs(true).max()
-    volts = probes_config(channel=lambda name: name, scale=lambda name: "1 V/(mm/s)", **ON)
+    found = check_steady(section)
+    volts = probes_config(channel=lambda name: name, scale=lambda name: "1 V/(um/s)", **ON)
     again = read(section | {"signal_unit": "V", "probes": volts})
     assert np.allclose(again.displacement, found.displacement, rtol=1e-12, atol=0)
 

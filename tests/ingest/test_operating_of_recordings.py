@@ -12,7 +12,7 @@ import pytest
 from conftest import refused
 from measured_files import long, table_config, wide
 from pydantic import ValidationError
-from reading import DISC, GRID, RPM, RUNS, check_read, notes, parsed, read, response, seen, waves, wide_runs
+from reading import DISC, GRID, RPM, RUNS, check_read, long_table, notes, parsed, read, response, seen, waves, wide_runs
 
 from pipeline.data.dataset import VibrationDataset
 from pipeline.ingest.dataset import read_measured_runs
@@ -124,8 +124,7 @@ def test_a_column_of_the_table(layout: str, tmp_path: Path) -> None:
     else:
         rows = long({"one": seen(), "two": seen(1.1)})
         rows["T oil"] = [1.8 * warm[name] + 32 for name in rows["run"]]
-        rows.to_csv(tmp_path / "all.csv", index=False)
-        found = read(table_config(RUNS, "long", file=str(tmp_path / "all.csv"), columns=columns))
+        found = read(long_table(tmp_path, rows, columns=columns))
     assert found.operating["oil_temperature"] == pytest.approx(np.repeat(KELVIN, len(GRID)))
 
 

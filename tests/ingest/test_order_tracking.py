@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from conftest import refused
+from measured_files import tacho_of
 
 from pipeline.config.measured import OrderTrackingConfig as Settings
 from pipeline.ingest.order_tracking import Signals, find_range, fit_steady, fit_sweep
-from pipeline.ingest.tacho import find_pulses, fit_angle
+from pipeline.ingest.tacho import ShaftAngle, find_pulses, fit_angle
 
 RPM = np.pi / 30
 CRITICAL = 2000.0  # rpm
@@ -62,11 +63,8 @@ class Shaft:
 
     def tacho(self, rng: np.random.Generator, edge: float = 8.0, teeth: int = 1) -> np.ndarray:
         """(n,) V: a notch in the shaft, its edges ``edge`` degrees wide (0: sharper than the sampling)."""
-        turn = np.mod(teeth * self.angle(self.time) / (2 * np.pi) + 0.5, 1.0) - 0.5  # the mark is at zero
-        width = max(edge, 1e-9) / 360
-        rising = np.clip(0.5 + turn / width, 0, 1)
-        falling = np.clip(0.5 + (turn - 0.1) / width, 0, 1)
-        return -10.0 + 8.0 * (rising - falling) + 0.02 * rng.standard_normal(len(turn))
+        notch = tacho_of(teeth * self.angle(self.time), max(edge, 1e-9))  # the mark is at zero
+        return -10.0 + 1.6 * notch + 0.02 * rng.standard_normal(len(notch))
 
     def recorded(self, noise: float, rng: np.random.Generator, edge: float = 8.0) -> Signals:
         """The signals, and the angle that their tacho gives."""
@@ -142,21 +140,10 @@ def test_run_up_at_half_the_rate_or_with_a_sharp_tacho(
 
 def test_without_noise_the_answer_is_exact(rng: np.random.Generator) -> None:
     shaft = Shaft(5000.0, 600.0, 6000.0, 30.0)
-    exact = Signals(shaft.time, shaft.signals(0.0, rng), _Exact(shaft), "x")
+    turns = [lambda t: shaft.angle(t) / (2 * np.pi), lambda t: shaft.rpm(t) / 60]
+    angle = ShaftAngle(lambda t, order=0: turns[order](t), 0.0, shaft.seconds - 1 / shaft.rate)
+    exact = Signals(shaft.time, shaft.signals(0.0, rng), angle, "x")
     errors(tracked(shaft, exact, GRID[::5]), shaft.vectors(GRID[::5]), percent=2e-3, degrees=7e-4)
-
-
-class _Exact:
-    """The true angle."""
-
-    def __init__(self, shaft: Shaft) -> None:
-        self.shaft, self.start, self.end = shaft, 0.0, shaft.seconds - 1 / shaft.rate
-
-    def angle(self, time: np.ndarray) -> np.ndarray:
-        return self.shaft.angle(time)
-
-    def speed(self, time: np.ndarray) -> np.ndarray:
-        return self.shaft.rpm(time) * RPM
 
 
 @pytest.mark.slow
@@ -192,21 +179,19 @@ def test_a_held_speed_in_a_run_up(rng: np.random.Generator) -> None:
     rate, t = 5000.0, np.arange(5000 * 30) / 5000.0
     phi = np.cumsum(np.interp(t, [0, 10, 20, 30], [900.0, 1500.0, 1500.0, 2100.0])) * RPM / rate
     true = 10e-6 * np.exp(-0.7j)
-    turn = np.mod(phi / (2 * np.pi) + 0.5, 1) - 0.5
-    tacho = np.clip(0.5 + turn / 0.01, 0, 1) - np.clip(0.5 + (turn - 0.1) / 0.01, 0, 1)
     values = np.real(true * np.exp(1j * phi))[:, None] + 1e-7 * rng.standard_normal((len(t), 1))
-    angle = fit_angle(find_pulses(t, tacho, "rising", None, None, "x")[0], 1, "x")
+    angle = fit_angle(find_pulses(t, tacho_of(phi, 3.6), "rising", None, None, "x")[0], 1, "x")
     wanted = np.array([1000.0, 1499.0, 1501.0, 1900.0]) * RPM
     found = fit_sweep(Signals(t, values, angle, "x"), wanted, Settings())[0][:, 0]
     errors(found, np.full(4, true), percent=0.15, degrees=0.05)
 
 
-def test_pulse_times_are_interpolated(rng: np.random.Generator) -> None:
+def test_pulse_times_are_interpolated() -> None:
     """Edges of some samples: the crossing is found to a hundredth of a sample, rising and falling."""
     shaft = Shaft(5000.0, 1237.0, 1237.0, 3.0)
-    quiet = shaft.tacho(rng, edge=12.0) * 0 + shaft.tacho(np.random.default_rng(1), edge=12.0)
-    for edge, at in (("rising", 0.0), ("falling", 0.1)):
-        found = find_pulses(shaft.time, quiet, edge, None, None, "x")[0]
+    notch = shaft.tacho(np.random.default_rng(1), edge=12.0)
+    for edge, at in (("rising", 0.0), ("falling", 0.2)):
+        found = find_pulses(shaft.time, notch, edge, None, None, "x")[0]
         turns = (found * 1237 / 60 + 0.1234 / (2 * np.pi)) - at
         assert np.abs(turns - np.round(turns)).max() < 2e-3 / 10
 

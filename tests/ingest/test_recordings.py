@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from conftest import assert_says, refused
 from measured_files import PROBES, probes_config, rotating, tacho_of, uff_set, write_hdf5, write_tdms, write_uff
-from reading import GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, read, response, seen, waves
+from reading import GRID, RPM, RUNOUT, RUNS, TURNS, check_read, check_steady, notes, read, response, seen, steady, waves
 from scipy.io import wavfile
 
 from pipeline.data.csv_format import CsvConfig
@@ -270,28 +270,21 @@ def test_a_sharp_tacho_at_a_whole_number_of_samples_is_warned_of(tmp_path: Path)
 
 
 def test_time_signals_of_a_universal_file(tmp_path: Path) -> None:
-    files = []
-    for rpm in (903.0, 1502.0):
-        of = volts(2, 0.0, rpm)
-        sets = [uff_set(of["time"], of[name], 1, 1, [name], abscissa_spacing=1) for name in [*PROBES, "tacho"]]
-        files.append(str(write_uff(tmp_path / f"{rpm}.uff", sets)))
-    section = {
-        "format": "uff58",
-        "signal_unit": "V",
-        "records": "constant_speed",
-        "tacho": {"record": "tacho", "edge": "rising"},
-        "probes": probes_config(record=lambda name: name, scale=lambda name: SCALES[name]),
-        "shaft_angle": "from_x",
-        "runs": [RUNS[0] | {"files": files}],
-    }
-    true = response(0, 0.0, np.array([903.0, 1502.0]))[1]
-    assert read(section).displacement[:, 1, 0] == pytest.approx(true, rel=1e-3)
+    def write(name: str, channels: dict[str, np.ndarray]) -> Path:
+        time = channels.pop("time")
+        sets = [uff_set(time, values, 1, 1, [channel], abscissa_spacing=1) for channel, values in channels.items()]
+        return write_uff(tmp_path / f"{name}.uff", sets)
+
+    probes = probes_config(record=lambda name: name, scale=lambda name: "1 V/um")
+    section = steady(write, tacho={"record": "tacho", "edge": "rising"}, probes=probes, signal_unit="V")
+    section = {key: value for key, value in section.items() if key != "sample_rate"} | {"format": "uff58"}
+    check_steady(section)
     wrong = {
         "tacho": {},
         "conventions": {key: value for key, value in UFF.items() if key != "length"} | {"voltage": "V"},
         "signal_unit": None,
         "records": None,
-        "runs": [RUNS[0] | {"file": files[0]}],
+        "runs": [RUNS[0] | {"file": section["runs"][0]["files"][0]}],
     }
     with refused("must be a function of the speed, but it is one of the time: give the record of the tacho"):
         read(section | wrong)

@@ -13,9 +13,9 @@ from reading import parsed, read
 
 from benchmarks.ross_oracle import ross_rotor
 from pipeline.config.rotor import RotorConfig
+from pipeline.data.excitation_files import run_excitations
 from pipeline.data.sensors import project
 from pipeline.data.simulate import simulate
-from pipeline.ingest.conventions import list_acting
 from pipeline.rotor.bearings import LinearBearingConfig
 from pipeline.rotor.ross_adapter import assemble, bearing_table, ross
 from pipeline.units import RAD_S_PER_RPM
@@ -61,7 +61,7 @@ def section(folder: Path, **changes: Any) -> dict[str, Any]:
 def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> None:
     found = read(section(folder))
     config = parsed(section(folder))
-    acting = tuple(excitation for run in config.runs for excitation in list_acting(config, run))
+    acting = tuple(excitation for run in config.runs for excitation in run_excitations(run, config.angle_from_x))
     made = simulate(assemble(ROTOR), bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
     made = project(made, ((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)))
     assert found.channels == made.channels

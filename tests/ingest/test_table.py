@@ -12,7 +12,7 @@ import pytest
 from conftest import refused
 from damaged import put
 from measured_files import CONVENTIONS, PROBES, Vectors, long, probes_config, table_config, wide
-from reading import DISC, GRID, RPM, RUNOUT, RUNS, TURNS, check_read, notes, parsed, read, seen, wide_runs
+from reading import DISC, GRID, RPM, RUNOUT, RUNS, TURNS, check_read, long_table, notes, parsed, read, seen, wide_runs
 from test_motion import PAIR
 
 from pipeline.data.coefficient_files import read_coefficients
@@ -226,15 +226,16 @@ def test_a_speed_range_that_a_run_does_not_cover(unit: str, span: tuple[int, int
 
 
 def test_runs_of_a_long_table_and_of_the_configuration(tmp_path: Path) -> None:
-    path = tmp_path / "all.csv"
-    long({name: seen(turn) for name, turn in TURNS.items()} | {"three": seen()}).to_csv(path, index=False)
+    section = long_table(tmp_path, long({name: seen(turn) for name, turn in TURNS.items()} | {"three": seen()}))
     with refused("'three' is not among them", "machine.recordings.leave_out"):
-        read(table_config(RUNS, "long", file=str(path)))
-    with refused("must have rows of run 'onee'", "did you mean 'one'?"):
-        read(table_config([*RUNS, {"name": "onee", "unbalances": [DISC]}], "long", file=str(path), leave_out=["three"]))
-    with refused("must have rows of probe 'AA' in run 'one'"):
-        probes = probes_config() | {"AA": {"node": 1, "angle": "0 deg"}, "AB": {"node": 1, "angle": "90 deg"}}
-        read(table_config(RUNS, "long", file=str(path), leave_out=["three"], probes=probes))
+        read(section)
+    probes = probes_config() | {"AA": {"node": 1, "angle": "0 deg"}, "AB": {"node": 1, "angle": "90 deg"}}
+    for changes, *words in (
+        ({"runs": [*RUNS, {"name": "onee", "unbalances": [DISC]}]}, "rows of run 'onee'", "did you mean 'one'?"),
+        ({"probes": probes}, "rows of probe 'AA' in run 'one'"),
+    ):
+        with refused("must have", *words):
+            read(section | {"leave_out": ["three"]} | changes)
 
 
 def test_the_last_line_of_a_cut_table_is_warned_of(runs: Runs) -> None:
@@ -349,17 +350,6 @@ def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
     of = {0: ("cxx",)}
     found = read_coefficients(tmp_path / "known.csv", (0,), np.array([600.0, 2222.0]) * RPM, of, between=True)
     assert found.coefficient("cxx")[0] == pytest.approx([100.36, 100 + 2.222**2])
-    for speeds, nodes, words in (
-        ([400.0], (0,), "must cover the speeds of the data (400 to 400 rpm), but it has 500 to 3000 rpm"),
-        ([600.0], (1,), "must have rows of the bearing at node 1, but it has 0"),
-    ):
-        with refused(words):
-            read_coefficients(
-                tmp_path / "known.csv", nodes, np.array(speeds) * RPM, {0: ("cxx",), 1: ("cxx",)}, between=True
-            )
-    pd.concat([frame, frame]).to_csv(tmp_path / "twice.csv", index=False)
-    with refused("must have one row a bearing and speed, but some are there twice"):
-        read_coefficients(tmp_path / "twice.csv", (0,), np.array([600.0]) * RPM, of, between=True)
 
 
 def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:

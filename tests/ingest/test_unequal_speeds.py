@@ -13,7 +13,7 @@ from conftest import assert_says, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from measured_files import Vectors, long, probes_config, table_config, vectors_of, wide
-from reading import GRID, RPM, RUNS, notes, read, seen, wide_runs
+from reading import GRID, RPM, RUNS, long_table, notes, read, seen, wide_runs
 
 from benchmarks.machines import Machine, machine
 from benchmarks.ross_oracle import ross_rotor
@@ -115,6 +115,5 @@ def test_how_many_readings_each_run_has_is_said(tmp_path: Path) -> None:
 def test_a_probe_that_lacks_a_speed_of_its_run_is_refused(tmp_path: Path) -> None:
     table = long({run["name"]: seen() for run in RUNS})
     lacking = (table["probe"] == "B") & (table["run"] == "two") & (table["speed"] == 750.0)
-    table[~lacking].to_csv(tmp_path / "all.csv", index=False)
     with refused("every probe of a run must have the same speeds, but run 'two' has 750 rpm at probe 'A'"):
-        read(table_config(RUNS, "long", file=str(tmp_path / "all.csv")))
+        read(long_table(tmp_path, table[~lacking]))

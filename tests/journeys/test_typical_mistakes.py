@@ -63,7 +63,7 @@ def truth() -> Measurement:
             values[b, :, COEFFICIENTS.index(name)] = value
     bearings = BearingTable(NODES, speeds, values)
     complete = simulate(rotor(), bearings, WEIGHTS)
-    probes = measure(complete, Sensors(PROBES, NOISE.additive, NOISE.multiplicative), np.random.default_rng(4))
+    probes = measure(complete, Sensors(PROBES, NOISE), np.random.default_rng(4))
     unknowns = unknown_set(dict.fromkeys(NODES, tie(UNKNOWNS)))
     return Measurement(rotor(), probes, bearings, NOISE, unknowns, Guess(1e7, 5e3))
 
@@ -110,7 +110,7 @@ def own_unbalance(times: float) -> Measurement:
 @cache
 def of_unbalance() -> np.ndarray:
     complete = simulate(rotor(), truth().known, (Excitation("own", "unbalance", 4, 120 * G_MM, 0.7),))
-    return measure(complete, Sensors(PROBES, 0.0, 0.0), np.random.default_rng(0)).displacement
+    return measure(complete, Sensors(PROBES), np.random.default_rng(0)).displacement
 
 
 CASES: dict[str, Case] = {

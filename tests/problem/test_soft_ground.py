@@ -222,11 +222,12 @@ def test_the_noise_of_a_simulated_probe_is_constant_in_what_it_measures() -> Non
     """(j w)^k V has the stated floor at every speed; the noise model has it over w^k."""
     speeds = np.linspace(100.0, 700.0, 4000)
     still = VibrationDataset(speeds, ("a",), CASINGS, np.zeros((4000, 4, 1), dtype=complex), WEIGHTS[:1])
-    drawn = measure(still, Sensors(CASINGS, floors=FLOORS), np.random.default_rng(2)).displacement[..., 0]
+    noise = NoiseModel(0.0, 0.0, floors=FLOORS)
+    drawn = measure(still, Sensors(CASINGS, noise), np.random.default_rng(2)).displacement[..., 0]
     orders, sizes = np.argmax(FLOORS, axis=1), np.max(FLOORS, axis=1)
     for half in np.split(np.abs(drawn * speeds[:, None] ** orders) ** 2, 2):
         assert half.mean(axis=0) == pytest.approx(sizes**2, rel=0.1)
-    told = NoiseModel(0.0, 0.0, floors=FLOORS).floor_at(speeds[:, None])[..., 0]
+    told = noise.floor_at(speeds[:, None])[..., 0]
     assert told == pytest.approx(sizes / speeds[:, None] ** orders)
 
 
@@ -238,8 +239,7 @@ def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
     noise, off = NoiseModel(0.0, 0.005, floors=((0.0, 0.0, 0.02),) * 8), list[float]()
     for seed in range(3):
         made, everywhere = measured(), simulate(load_rotor(config()), films(), WEIGHTS)
-        sensors = Sensors(made.dataset.channels, multiplicative=noise.multiplicative, floors=noise.floors)
-        read = measure(everywhere, sensors, np.random.default_rng(seed))
+        read = measure(everywhere, Sensors(made.dataset.channels, noise), np.random.default_rng(seed))
         stated = replace(made, dataset=read, noise=noise.with_floor(0.1))
         answer = fit(stated, default_setup(Guess(1e7, 1e4), constant=True, noise="estimated"))
         told = answer.quality.summary["fit"]["noise"]

@@ -105,7 +105,7 @@ def test_slow_roll_takes_the_runout_off_but_for_the_noise_of_its_reading() -> No
         found = measure(complete, sensors, np.random.default_rng(seed)).displacement - exact.displacement
         assert found == pytest.approx(np.broadcast_to(found[:1, :, :1], found.shape), abs=1e-18)
         left.append(found[0, :, 0])
-    size = np.hypot(sensors.additive, sensors.multiplicative * sensors.runout)
+    size = np.hypot(sensors.noise.additive, sensors.noise.multiplicative * sensors.runout)
     assert np.sqrt(np.mean(np.abs(left) ** 2)) == pytest.approx(size, rel=0.2)
 
 

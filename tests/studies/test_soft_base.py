@@ -104,7 +104,7 @@ def test_a_floor_of_probes_is_noise_enough() -> None:
     config = compose_config(["experiment=noisy_all", "stated_noise.multiplicative=0.01", at])
     rotor = load_rotor(config.machine.rotor)
     assert config.describe_noise() == "1 % and 3 mm/s noise"
-    assert configure_sensors(config, rotor).floors == ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR)
+    assert configure_sensors(config, rotor).noise.floors == ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR)
 
 
 def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:
