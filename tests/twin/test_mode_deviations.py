@@ -145,7 +145,6 @@ def test_intervals_of_critical_speeds_hold(rolling: Machine) -> None:
                 ]
             )
     share = np.mean(inside, axis=0)
-    print(f"95 % intervals hold for {100 * share[0]:.1f} % (speed) and {100 * share[1]:.1f} % (decrement) of the draws")
     np.testing.assert_allclose(share, 0.95, atol=0.033)
 
 
