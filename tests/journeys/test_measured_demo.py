@@ -23,8 +23,6 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "measured_demo"
 def recordings() -> ModuleType:
     """The script that made the recordings, which alone knows the machine."""
     spec = importlib.util.spec_from_file_location("make_recordings", EXAMPLE / "make_recordings.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

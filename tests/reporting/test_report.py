@@ -96,7 +96,6 @@ def test_the_page_loads_nothing_from_elsewhere(page: Path) -> None:
     assert links.policy.startswith("default-src 'none';")
     assert "http" not in links.policy
     style = re.search(r"<style>(.*?)</style>", text, re.S)
-    assert style is not None
     assert "url(" not in style[1]
     assert "@import" not in style[1]
 
@@ -104,7 +103,6 @@ def test_the_page_loads_nothing_from_elsewhere(page: Path) -> None:
 def test_the_page_has_a_place_for_every_panel_and_escapes_what_it_prints(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     found = re.search(r'<script type="application/json" id="panels">(.*?)</script>', text, re.S)
-    assert found is not None
     assert "<" not in found[1]  # such a title would open a script inside this one
     panels = json.loads(found[1])
     assert [panel["id"] for panel in panels] == re.findall(r'<div class="panel[^"]*" id="(\w+)"', text)
@@ -179,7 +177,6 @@ def test_a_peak_is_that_of_the_closed_form() -> None:
     ratio = rpm / 2000.0
     size = ratio**2 / np.hypot(1 - ratio**2, 2 * damping * ratio)
     found = find_peak(rpm, size)
-    assert found is not None
     assert found[0] == pytest.approx(2000.0 / np.sqrt(1 - 2 * damping**2), rel=2e-4)
     assert found[1] == pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=1e-4)
     assert find_peak(rpm, rpm) is None
@@ -241,7 +238,6 @@ def test_a_circle_is_one_line_of_the_full_spectrum(sense: int) -> None:
     seen = np.stack([x * np.cos(p.angle) + y * np.sin(p.angle) for p in probes.values()], axis=1)
     angle = fit_angle(np.arange(0.0, 3.99, 1 / hertz), 1, "here")
     found = measure_full_spectra([Signals(time, seen, angle, "here")], probes, 1)
-    assert found is not None
     assert found.speeds == pytest.approx(np.full(len(found.speeds), 2 * np.pi * hertz), rel=1e-3)
     largest = found.spectrum.argmax(axis=1)
     assert found.orders[largest] == pytest.approx(np.full(len(largest), float(sense)))

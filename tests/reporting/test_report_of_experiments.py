@@ -40,7 +40,6 @@ def read_panels(page: Path) -> list[dict[str, Any]]:
     found = re.search(
         r'<script type="application/json" id="panels">(.*?)</script>', page.read_text(encoding="utf-8"), re.S
     )
-    assert found is not None
     panels: list[dict[str, Any]] = json.loads(found[1])
     return panels
 
@@ -95,7 +94,6 @@ def test_the_printed_coefficients_are_those_of_the_file() -> None:
     value, deviation = rows["kxx"][0] / 1e6, rows["kxx_std"][0] / 1e6
     text = (ARTIFACTS / "measured_demo" / "report.html").read_text(encoding="utf-8")
     found = re.search(r"node 1 kxx, MN/m</td>\s*<td[^>]*>([\d.]+) ± ([\d.]+)<", text)
-    assert found is not None
     assert float(found[1]) == pytest.approx(value, abs=0.51 * 10 ** -len(found[1].split(".")[1]))
     assert float(found[2]) == pytest.approx(deviation, rel=0.05)
 
