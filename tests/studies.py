@@ -255,7 +255,6 @@ class Runner:
             return self.ended is not None
 
         wait_until(has_ended, seconds)
-        assert self.ended is not None
         self.forks.alive.discard(self.pid)
         return self.ended
 
@@ -293,8 +292,6 @@ class Forks:
 
     def ask(self, **order: Any) -> Any:
         """The server's answer."""
-        assert self.server.stdin is not None
-        assert self.server.stdout is not None
         print(json.dumps(order), file=self.server.stdin, flush=True)
         return json.loads(self.server.stdout.readline())
 
@@ -320,8 +317,6 @@ class Forks:
         for pid in self.alive:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        assert self.server.stdin is not None
         self.server.stdin.close()
         self.server.wait(30)
-        assert self.server.stdout is not None
         self.server.stdout.close()

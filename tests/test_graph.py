@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -10,14 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
+from docs import graph
+
 ROOT = Path(__file__).resolve().parents[1]
 GRAPH = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))
 STAGES: dict[str, Any] = GRAPH["stages"]
-_SPEC = importlib.util.spec_from_file_location("graph", ROOT / "docs" / "graph.py")
-assert _SPEC is not None
-assert _SPEC.loader is not None
-graph = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(graph)
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -103,7 +104,7 @@ def _imports(file: str, node: ast.AST, inside: bool, types: bool) -> Iterator[Im
         if isinstance(child, ast.Import):
             names = [alias.name for alias in child.names]
         elif isinstance(child, ast.ImportFrom):
-            names = _from(file, child)
+            names = _from(child)
         else:
             yield from _imports(file, child, inside or function, types)
             continue
@@ -111,11 +112,9 @@ def _imports(file: str, node: ast.AST, inside: bool, types: bool) -> Iterator[Im
             yield Import(file, child.lineno, name, inside, types)
 
 
-def _from(file: str, node: ast.ImportFrom) -> list[str]:
+def _from(node: ast.ImportFrom) -> list[str]:
+    assert not node.level, "modules are named from the package on"
     module = node.module or ""
-    if node.level:
-        above = ["pipeline", *Path(file).parts[:-1]]
-        module = ".".join([*above[: len(above) - node.level + 1], *([module] if module else [])])
     # `from package import module` imports the module; `from module import name` doesn't say which it is.
     inner = [f"{module}.{alias.name}" for alias in node.names]
     return inner if module == "pipeline" or module == "scipy" else [module]
@@ -154,17 +153,7 @@ def test_no_circle_of_imports() -> None:
         if i.root == "pipeline" and not i.for_types_only and not i.inside_function:
             own = ("pipeline." + i.file.removesuffix(".py").replace("/", ".")).removesuffix(".__init__")
             graph.setdefault(own, set()).update({i.name} - {own})  # __main__ imports itself by name
-    done: set[str] = set()
-
-    def visit(module: str, trail: tuple[str, ...]) -> None:
-        assert module not in trail, " -> ".join([*trail, module])
-        if module not in done:
-            for other in graph.get(module, ()):
-                visit(other, (*trail, module))
-            done.add(module)
-
-    for module in list(graph):
-        visit(module, ())
+    TopologicalSorter(graph).prepare()  # raises for a circle, and names it
 
 
 def test_the_picture_of_the_house_has_no_import_to_the_right() -> None:

@@ -13,7 +13,7 @@ Legend: N planes, M rows, H holes of a plane, K choices of a plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -186,24 +186,18 @@ def _search(triangle: np.ndarray, wanted: np.ndarray, choices: Sequence[_Choices
         rest = sum(triangle[i, j] * (choices[j].unbalance[k] - wanted[j]) for j, k in enumerate(fixed, i + 1))
         target, size = wanted[i] - rest / triangle[i, i], abs(triangle[i, i])
         if i == 0:
-            far, k = choices[0].tree.query([target.real, target.imag])
-            if spent + (size * far) ** 2 < least:
-                best, least = [int(k), *fixed], spent + (size * far) ** 2
+            near, k = choices[0].tree.query([target.real, target.imag])
+            if spent + (size * near) ** 2 < least:
+                best, least = [int(k), *fixed], spent + (size * near) ** 2
             return
-        for k in _list_nearest(choices[i], target, lambda: math.sqrt(max(least - spent, 0.0)) / size):
-            descend(i - 1, [k, *fixed], spent + (size * abs(choices[i].unbalance[k] - target)) ** 2)
+        far = np.abs(choices[i].unbalance - target)
+        for k in np.argsort(far, kind="stable"):
+            if far[k] >= math.sqrt(max(least - spent, 0.0)) / size:
+                return
+            descend(i - 1, [int(k), *fixed], spent + (size * float(far[k])) ** 2)
 
     descend(len(choices) - 1, [], 0.0)
     return best
-
-
-def _list_nearest(choices: _Choices, target: complex, within: Callable[[], float]) -> Iterator[int]:
-    """The choices in the order of their distance from ``target``, as far as ``within()`` says meanwhile."""
-    far = np.abs(choices.unbalance - target)
-    for k in np.argsort(far, kind="stable"):
-        if far[k] >= within():
-            return
-        yield int(k)
 
 
 # --- any mass ----------------------------------------------------------------------------------------

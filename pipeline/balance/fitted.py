@@ -158,17 +158,31 @@ def find_contradictions(
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The experiment's conditions, the names of those that contradict their labels, and what was fitted to the others,
-    by method; the preferred one is the first."""
+    """The experiment's conditions, and what is fitted to those that do not contradict their labels: by method, each
+    fitted when it is first asked for. Mistakes in what a user asks need none."""
 
     conditions: Conditions
-    contradictions: tuple[str, ...]
-    models: Mapping[str, LinearVibration]
+    physical: Physical | None
+
+    @cached_property
+    def judged(self) -> tuple[Mapping[str, float], Influence]:
+        """The conditions that contradict their labels, with their chances, and influence coefficients of the others."""
+        try:
+            return find_contradictions(self.conditions)
+        except IdentifiabilityError:  # too few conditions to judge one by the others
+            return {}, fit_influence(self.conditions)
 
     @cached_property
     def sound(self) -> Conditions:
         """The conditions that do not contradict their labels."""
-        return self.conditions.without(self.contradictions)
+        return self.conditions.without(self.judged[0])
+
+    @cached_property
+    def models(self) -> Mapping[str, LinearVibration]:
+        """The model of each method."""
+        physical = self.physical
+        model = {"physical": physical, "blend": blend_with_influence(physical, self.sound)} if physical else {}
+        return {"influence": self.judged[1], **model}
 
     def can_leave_out(self, method: str) -> bool:
         """Whether the method is fitted anew without each condition: quickly done, and of enough conditions."""
@@ -187,25 +201,8 @@ class Fitted:
 
     def pick(self, wanted: str | None, key: str) -> str:
         """The method that is asked for at ``key``, or the first. Raises ConfigError for one that there is not."""
-        method = wanted or next(iter(self.models))
-        if method not in self.models:
-            raise ConfigError(f"{key} must be a method with a fit, but got '{method}': {nearest(method, self.models)}")
+        methods = ("influence", "physical", "blend") if self.physical else ("influence",)
+        method = wanted or methods[0]
+        if method not in methods:
+            raise ConfigError(f"{key} must be a method with a fit, but got '{method}': {nearest(method, methods)}")
         return method
-
-
-def fit_models(conditions: Conditions, physical: Physical | None) -> Fitted:
-    """Influence coefficients, and where there is a physical model, that and the blend of both.
-
-    Conditions that contradict their labels are left out.
-    """
-    try:
-        contradictions, influence = find_contradictions(conditions)
-    except IdentifiabilityError:  # too few conditions to judge one by the others
-        contradictions, influence = {}, fit_influence(conditions)
-    models: dict[str, LinearVibration] = {"influence": influence}
-    if physical:
-        models |= {
-            "physical": physical,
-            "blend": blend_with_influence(physical, conditions.without(contradictions)),
-        }
-    return Fitted(conditions, tuple(contradictions), models)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.errors import ConfigError
 from pipeline.problem.noise_levels import NoiseLevels
 
 
@@ -34,6 +35,24 @@ class LinearVibration(ABC):
     @abstractmethod
     def influence_at(self, unbalance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative (D, N) m/(kg m) of the vector by the weights at ``unbalance`` (N,), and the baseline (D,) m."""
+
+
+def invert_influence(
+    influence: np.ndarray, covariance: np.ndarray, most: float = 1e14
+) -> tuple[np.ndarray, np.ndarray]:
+    """The generalised inverse (N, M) of ``influence`` (M, N), and the covariance (N, N) of what it gives.
+
+    Raises ConfigError where the condition number of the planes' information is above ``most``.
+    """
+    weighed = np.linalg.solve(covariance, influence)
+    information = influence.conj().T @ weighed
+    if len(influence) < influence.shape[1] or np.linalg.cond(information) > most:
+        raise ConfigError(
+            "the vibration that was read must tell the planes apart, but two of them act alike at these probes and "
+            "speeds: use more of either, or leave a plane out"
+        )
+    spread = np.linalg.inv(information)
+    return spread @ weighed.conj().T, spread
 
 
 # --- bands: of circular numbers whose covariance was estimated, or whose tails are heavier than Gaussian ----

@@ -17,17 +17,17 @@ from pipeline.ingest.records import Records
 from pipeline.ingest.tracks import format_rpm
 
 
-def average_records(records: Records, vibration: LinearVibration) -> Conditions:
+def average_records(records: Records, grid: Conditions | LinearVibration) -> Conditions:
     """The means of the ``records`` of each condition, in the order of the table; NaN where nothing was read.
 
-    ``counts`` are the fewest records behind a mean of each; the records' own scatter is not asked for. Raises DataError
-    for a speed that is not one of the model's, channels or planes other than the model's, a table without vibration,
-    and a condition whose known weights differ.
+    Speeds, channels and planes are those of the ``grid``. ``counts`` are the fewest records behind a mean of each; the
+    records' own scatter is not asked for. Raises DataError for a speed that is not one of the grid's, channels or
+    planes other than the grid's, a table without vibration, and a condition whose known weights differ.
     """
-    at = match_speeds(records.speeds, vibration.speeds, records.source)
+    at = match_speeds(records.speeds, grid.speeds, records.source)
     names = tuple(dict.fromkeys(records.conditions))
     conditions = np.array([names.index(name) for name in records.conditions])
-    channels = [records.channels.index(channel) for channel in vibration.channels]
+    channels = [records.channels.index(channel) for channel in grid.channels]
     read = records.displacement[:, channels]
     present = ~np.isnan(read)
     if not present.any():
@@ -35,12 +35,12 @@ def average_records(records: Records, vibration: LinearVibration) -> Conditions:
             f"{records.source} must have the vibration of at least one probe, but no column of "
             f"{', '.join(records.probes)} has a number: give its columns as machine.recordings.probes names them"
         )
-    shape = (len(names), len(vibration.speeds), len(channels))
+    shape = (len(names), len(grid.speeds), len(channels))
     total, counts = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=int)
     np.add.at(total, (conditions, at), np.where(present, read, 0.0))
     np.add.at(counts, (conditions, at), present)
     mean = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
-    planes = [records.planes.index(node) for node in vibration.planes]
+    planes = [records.planes.index(node) for node in grid.planes]
     known = np.full((len(names), len(planes)), np.nan, dtype=complex)  # NaN where its records do not say it
     for c, name in enumerate(names):
         given = records.unbalance[conditions == c][:, planes]
@@ -50,12 +50,12 @@ def average_records(records: Records, vibration: LinearVibration) -> Conditions:
         known[c] = given[0] if len(given) else np.nan
     return Conditions(
         names=names,
-        speeds=vibration.speeds,
-        own_speeds=np.tile(vibration.speeds, (len(names), 1)),
+        speeds=grid.speeds,
+        own_speeds=np.tile(grid.speeds, (len(names), 1)),
         displacement=mean,
         counts=np.where(counts > 0, counts, counts.max()).min(axis=(1, 2)),
-        channels=vibration.channels,
-        planes=vibration.planes,
+        channels=grid.channels,
+        planes=grid.planes,
         unbalance=known,
         record_covariance=np.zeros((*shape[1:], shape[2]), dtype=complex),
     )
@@ -101,31 +101,36 @@ class OfDay(LinearVibration):
         return slope, baseline + self.shift
 
 
-def shift_to_day(conditions: Conditions, vibration: LinearVibration, reference: str) -> OfDay:
-    """The model on the day of the ``conditions``, as the one called ``reference`` shows it.
+def find_reference(conditions: Conditions, reference: str) -> Conditions:
+    """The condition called ``reference`` alone, which shows what its day adds.
 
-    Raises DataError for a reference that is not among them, or lacks a weight or a vector.
+    Raises DataError for one that is not among them, or lacks a weight or a vector.
     """
     if reference not in conditions.names:
         raise DataError(
             f"the reference must be a condition of the records, but got '{reference}': "
             f"{nearest(reference, conditions.names)}"
         )
-    only = conditions.without([name for name in conditions.names if name != reference])
+    only = conditions.of([conditions.names.index(reference)])
     if np.isnan(only.unbalance).any() or np.isnan(only.displacement).any():
         raise DataError(
             f"the reference '{reference}' must have its weights, and a vector of each probe at each speed, but lacks "
             "some: complete its rows, or name another condition"
         )
-    (mean,), (covariance,) = vibration.predict(only.unbalance)
-    (scatter,) = vibration.noise.covariance(only.counts)
+    return only
+
+
+def shift_to_day(reference: Conditions, vibration: LinearVibration) -> OfDay:
+    """The model on the day of the ``reference``, a condition alone, as that shows it."""
+    (mean,), (covariance,) = vibration.predict(reference.unbalance)
+    (scatter,) = vibration.noise.covariance(reference.counts)
     return OfDay(
         speeds=vibration.speeds,
         channels=vibration.channels,
         planes=vibration.planes,
         noise=vibration.noise,
         model=vibration,
-        shift=only.vectors[0] - mean,
+        shift=reference.vectors[0] - mean,
         spread=covariance + scatter,
     )
 
@@ -177,14 +182,12 @@ class PredictedRecords:
         return ~np.isnan(self.off)
 
 
-def predict_records(records: Records, vibration: LinearVibration) -> PredictedRecords:
-    """The vibration of each record's known weights, at the nominal speed that is nearest to its own.
+def place_records(records: Records, grid: Conditions | LinearVibration) -> tuple[np.ndarray, np.ndarray]:
+    """The known weights (n, N) kg m of each record in the planes of the ``grid``, and the index (n,) of its speed.
 
-    The bands hold the model's own uncertainty, the drift between conditions, and the scatter of a record. Raises
-    DataError for a record without weights, and for a speed that is not one of the model's.
+    Raises DataError for a record without weights, and for a speed that is not one of the grid's.
     """
-    planes = [records.planes.index(node) for node in vibration.planes]
-    weights = records.unbalance[:, planes]
+    weights = records.unbalance[:, [records.planes.index(node) for node in grid.planes]]
     without = np.flatnonzero(np.isnan(weights).any(axis=1))
     if len(without):
         raise DataError(
@@ -192,7 +195,16 @@ def predict_records(records: Records, vibration: LinearVibration) -> PredictedRe
             f"record that is predicted, but row {without[0] + 1} has not ({len(without)} rows in all): complete its "
             "columns"
         )
-    at = match_speeds(records.speeds, vibration.speeds, records.source)
+    return weights, match_speeds(records.speeds, grid.speeds, records.source)
+
+
+def predict_records(records: Records, vibration: LinearVibration) -> PredictedRecords:
+    """The vibration of each record's known weights, at the nominal speed that is nearest to its own.
+
+    The bands hold the model's own uncertainty, the drift between conditions, and the scatter of a record. Raises
+    DataError as :func:`place_records`.
+    """
+    weights, at = place_records(records, vibration)
     channels = [vibration.channels.index(channel) for channel in records.channels]
     distinct, groups = np.unique(weights, axis=0, return_inverse=True)
     (mean, covariance), noise = vibration.predict(distinct), vibration.noise

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.balance.correction import Holes, Weight, choose_weights
-from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_radius
+from pipeline.balance.linear_vibration import LinearVibration, bound_size, circle_radius, invert_influence
 from pipeline.config.balance import BalanceConfig
 from pipeline.data.conditions import Conditions
 from pipeline.errors import ConfigError, nearest
@@ -37,27 +37,29 @@ class State:
     weights: np.ndarray  # (N,) complex kg m, known weights on the machine; zero for the machine as it is
 
 
-def find_state(vibration: LinearVibration, readings: Conditions, asked: BalanceConfig, subtracted: str | None) -> State:
-    """What the machine shows, and which part of it is to be taken away.
-
-    Raises ConfigError for a condition that was not read, and for the machine's own unbalance where its vibration was
+def require_state(readings: Conditions, asked: BalanceConfig, subtracted: str | None) -> None:
+    """Raise ConfigError for a condition that was not read, and for the machine's own unbalance where its vibration was
     ``subtracted`` from the data.
     """
-    nothing = np.zeros(len(vibration.planes), dtype=complex)
-    bare = predict_one(vibration, nothing)
     if asked.remove != "condition" and subtracted is not None:
         raise ConfigError(
             f"the machine's own unbalance must be in the data, but its vibration (data.baseline={subtracted})"
             " was subtracted: name a condition to correct (balance.condition, balance.remove=condition)"
         )
-    if asked.remove == "residual":
-        return State(shown=bare, remove=bare, weights=nothing)
-    if asked.condition not in readings.names:
+    if asked.remove != "residual" and asked.condition not in readings.names:
         raise ConfigError(
             f"balance.condition must be a condition of the records, but got '{asked.condition}': "
             f"{nearest(str(asked.condition), readings.names)}"
         )
-    c = readings.names.index(asked.condition)
+
+
+def find_state(vibration: LinearVibration, readings: Conditions, asked: BalanceConfig) -> State:
+    """What the machine shows, and which part of it is to be taken away, as :func:`require_state` has seen to."""
+    nothing = np.zeros(len(vibration.planes), dtype=complex)
+    bare = predict_one(vibration, nothing)
+    if asked.remove == "residual":
+        return State(shown=bare, remove=bare, weights=nothing)
+    c = readings.names.index(str(asked.condition))
     shown, known = readings.vectors[c], readings.unbalance[c]
     remove = shown - bare if asked.remove == "condition" else shown
     return State(shown=shown, remove=remove, weights=nothing if np.isnan(known).any() else known)
@@ -110,7 +112,7 @@ def propose_weights(
         influence = vibration.influence_at(state.weights + correction)[0][read]
         change = (predict_one(vibration, state.weights + correction) - start)[read]
         remaining = state.remove[read] + change - influence @ correction
-        inverse, spread = _invert(influence, inside)
+        inverse, spread = invert_influence(influence, inside)
         acting, left = (np.eye(len(holes)), inverse @ remaining) if minimise == "unbalance" else (influence, remaining)
         chosen, unbalance = choose_weights(acting[:, active], left, given)
         if chosen == weights:
@@ -135,22 +137,6 @@ def propose_weights(
 def predict_one(vibration: LinearVibration, weights: np.ndarray) -> np.ndarray:
     """(D,) complex m, the mean vector with the ``weights`` (N,) kg m."""
     return vibration.predict(weights[None])[0][0]
-
-
-def _invert(influence: np.ndarray, covariance: np.ndarray, most: float = 1e14) -> tuple[np.ndarray, np.ndarray]:
-    """The generalised inverse (N, M) of ``influence`` (M, N), and the covariance (N, N) of what it gives.
-
-    Raises ConfigError where the condition number of the planes' information is above ``most``.
-    """
-    weighed = np.linalg.solve(covariance, influence)
-    information = influence.conj().T @ weighed
-    if len(influence) < influence.shape[1] or np.linalg.cond(information) > most:
-        raise ConfigError(
-            "the vibration that was read must tell the planes apart, but two of them act alike at these probes and "
-            "speeds: use more of either, or leave a plane out"
-        )
-    spread = np.linalg.inv(information)
-    return spread @ weighed.conj().T, spread
 
 
 # --- tolerance ---------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pipeline.balance.linear_vibration import LinearVibration, circle_radius, judge_distance
+from pipeline.balance.linear_vibration import LinearVibration, circle_radius, invert_influence, judge_distance
 from pipeline.data.conditions import Conditions
 from pipeline.errors import DataError
 from pipeline.problem.noise_levels import student_factor
@@ -49,7 +49,7 @@ class Unbalance:
 def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 1, steps: int = 30) -> Unbalance:
     """The weights that explain ``vector`` (D,) complex m, the mean of ``count`` records; NaN where nothing was read.
 
-    Raises DataError where fewer entries were read than there are planes.
+    Raises DataError where fewer entries were read than there are planes, ConfigError where they act alike.
     """
     kept, n_planes = np.isfinite(vector), len(model.planes)
     if kept.sum() < n_planes:
@@ -64,9 +64,8 @@ def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 
         slope = model.influence_at(value)[0][kept]
         total = (noise + spread[0])[np.ix_(kept, kept)]
         residual = (vector - mean[0])[kept]
-        whitened = np.linalg.solve(total, slope)
-        information = slope.conj().T @ whitened
-        step = np.linalg.solve(information, whitened.conj().T @ residual)
+        inverse, covariance = invert_influence(slope, total)
+        step = inverse @ residual
         value = value + step
         if np.linalg.norm(step) <= 1e-8 * np.linalg.norm(value):
             break
@@ -80,7 +79,7 @@ def estimate_unbalance(model: LinearVibration, vector: np.ndarray, count: int = 
     elif 0 < left < np.inf:
         left = max(left - spare, 1.0)  # a shrunk covariance has a little more; 1 is the least with an interval
         factor = levels.freedom / left * (1 + squared / levels.freedom)
-    return Unbalance(value, np.linalg.inv(information) * factor, left, squared)
+    return Unbalance(value, covariance * factor, left, squared)
 
 
 def _rice(magnitude: float, half_width: float, level: float) -> tuple[float, float]:

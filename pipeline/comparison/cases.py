@@ -144,12 +144,14 @@ class Result(BaseModel):
 
 
 ANSWERED = "answered"
+MethodRun = tuple[MethodName, Case]
+"""One method on one case."""
 
 
-def judge_method(machine: Machine, method: MethodName, case: Case) -> Result:
+def judge_method(machine: Machine, run: MethodRun) -> Result:
     """Let a method identify a case. The truth is looked at when it has answered."""
-    data = machine.measure(case)
-    started = time.process_time()
+    method, case = run
+    data, started = machine.measure(case), time.process_time()
     answer, outcome = None, ANSWERED
     try:
         answer = METHODS[method].identify(data, MethodOptions(machine.settings, machine.seed, machine.laws))

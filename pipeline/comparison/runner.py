@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.comparison.cases import Case, Machine, Result, judge_method
+from pipeline.comparison.cases import Case, Machine, MethodRun, Result, judge_method
 from pipeline.config.comparison import MethodName
 from pipeline.errors import DataError
 from pipeline.files import hash_parts, read_json, write_json
@@ -20,10 +20,6 @@ _ASKED = {"methods", "noise", "sensors", "speeds", "data_sets", "other_data_sets
 """Settings that say which results are asked for, and change none."""
 Done = Callable[[int, int, Result], None]
 """(results so far, of how many, the newest one)."""
-
-
-MethodRun = tuple[MethodName, Case]
-"""One method on one case."""
 
 
 def name_file(method: MethodName, case: Case) -> str:
@@ -55,7 +51,7 @@ def compare(machine: Machine, runs: Sequence[MethodRun], folder: Path, done: Don
     results = {run: kept for run in runs if (kept := _read_kept(folder / name_file(*run), fingerprint)) is not None}
     rest = [run for run in runs if run not in results]
     less = "comparison.workers=1"
-    for i, result in run_all(partial(_judge, machine), rest, machine.settings.workers, 1, less):
+    for i, result in run_all(partial(judge_method, machine), rest, machine.settings.workers, 1, less):
         run = rest[i]
         write_json(folder / name_file(*run), {"fingerprint": fingerprint, "result": result.model_dump()})
         results[run] = result
@@ -64,15 +60,10 @@ def compare(machine: Machine, runs: Sequence[MethodRun], folder: Path, done: Don
 
 
 def _read_kept(path: Path, fingerprint: str) -> Result | None:
-    """A result that is there already; None where another configuration or program made it, or it is damaged."""
-    if not path.exists():
-        return None
+    """A result that is there already; None where there is none, another configuration or program made it, or it is
+    damaged."""
     try:
         content = read_json(path)
         return Result.model_validate(content["result"]) if content["fingerprint"] == fingerprint else None
     except (DataError, KeyError, ValidationError):
         return None
-
-
-def _judge(machine: Machine, run: MethodRun) -> Result:
-    return judge_method(machine, *run)

@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from pipeline.config.operating import column_of
 from pipeline.config.quantities import GuessConfig
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError, DataError
 from pipeline.laws.ball import BallLaw, BallLawConfig
 from pipeline.laws.journal import JournalLaw, JournalTableLawConfig, ShortJournalLawConfig
-from pipeline.laws.numbers import LOAD, OIL_TEMPERATURE, LawParameter, Number, Points
+from pipeline.laws.numbers import OIL_TEMPERATURE, LawParameter, Number, Points
 from pipeline.laws.oil import Oil, OilConfig
 
 if TYPE_CHECKING:
     import torch
 
-_COLUMNS = {OIL_TEMPERATURE: "oil_temperature_degC", LOAD: "load_N"}
 _LAWS: dict[str, type[JournalLaw | BallLaw]] = {
     "short_journal": JournalLaw,
     "journal_table": JournalLaw,
@@ -103,7 +103,7 @@ class LawSet:
             if name not in operating:
                 raise DataError(
                     f"the bearing laws need the operating condition {name}, but the data have "
-                    f"{', '.join(operating) or 'none'}: add the column {_COLUMNS[name]}"
+                    f"{', '.join(operating) or 'none'}: add the column {column_of(name).column}"
                 )
         given = {name: torch.from_numpy(np.array(operating[name], dtype=float)) for name in self.inputs}
         for what, values in (("speeds", speeds), *((name, operating[name]) for name in self.inputs)):

@@ -101,3 +101,12 @@ def turn_axes(angle: float) -> np.ndarray:
     cos, sin = np.cos(angle), np.sin(angle)
     turn = np.array([[cos, -sin], [sin, cos]])
     return np.kron(np.eye(2), np.kron(turn, turn))
+
+
+def scale_film(pure: np.ndarray, load: np.ndarray, clearance: np.ndarray | float, speeds: np.ndarray) -> np.ndarray:
+    """(.., S, 8) N/m and N s/m of a film's dimensionless coefficients: ``k = Kbar W / C``, ``c = Bbar W / (w C)``.
+
+    ``load`` in N and ``clearance`` in m are (.., S), or of one point; ``speeds`` (S,) are in rad/s.
+    """
+    size = (load / clearance)[..., None]
+    return np.concatenate([pure[..., :4] * size, pure[..., 4:] * size / speeds[:, None]], axis=-1)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.impedance import stand_in_series, to_coordinates
+from pipeline.laws.numbers import scale_film
 from pipeline.laws.short_bearing import short_table
 from pipeline.laws.table import read_film_table
 
@@ -85,8 +86,7 @@ def draw_bearings(
         preload = torch.as_tensor(generator.uniform(table.preloads[0], table.preloads[-1], (len(rows), 1)))
         log_s = np.log((sommerfeld * ratio**2 if squared else sommerfeld)[rows])
         pure = table.evaluate(torch.as_tensor(log_s), preload)[0].numpy()
-        size = (force / clearance)[rows][:, None]
-        drawn.append(np.concatenate([pure[..., :4] * size, pure[..., 4:] * size / speeds[:, None]], axis=-1))
+        drawn.append(scale_film(pure, force[rows], clearance[rows], speeds))
     angle = -np.pi / 2 + np.radians(8.0) * generator.standard_normal(count)
     turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=-1).reshape(count, 1, 1, 2, 2)
     matrices = np.concatenate(drawn).reshape(count, len(speeds), 2, 2, 2)
@@ -132,8 +132,7 @@ def make_priors(
     u = np.log(speeds / speeds[0])
     far = np.sqrt(5) * np.abs(u[:, None] - u)
     # Half of what theory lacks is constant over the speed, half Matern 5/2 of length 1 in ln w.
-    smooth = 0.5 + 0.5 * (1 + far + far**2 / 3) * np.exp(-far)
-    smooth = smooth + rough**2 * np.exp(-far / np.sqrt(5) / 0.3)
+    smooth = 0.5 + 0.5 * (1 + far + far**2 / 3) * np.exp(-far) + rough**2 * np.exp(-far / np.sqrt(5) / 0.3)
     priors: dict[str, FamilyPrior] = {}
     for family, (size, angle, stiffness, damping) in LACKS.items():
         generator = np.random.default_rng([seed, list(LACKS).index(family)])

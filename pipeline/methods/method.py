@@ -114,21 +114,20 @@ def solve_each(solve: Callable[[Measurement], Estimate], measurement: Measuremen
         for _, points in split_states(data.speeds, data.operating)
         for rows in group_rows(data.present[points])
     ]
-    answers = []
+    answers, deviation = [], np.full(values.shape, np.nan)
     for points in states:  # in the runs that have them, as if there were no operating conditions
         state = measurement.select(points, np.flatnonzero(data.present[points[0]]))
         known = replace(state.known, operating={})
-        answers.append((points, solve(replace(state, dataset=replace(state.dataset, operating={}), known=known))))
-    deviation = np.full(values.shape, np.nan)
-    for points, answer in answers:
+        answer = solve(replace(state, dataset=replace(state.dataset, operating={}), known=known))
         values[:, points], deviation[:, points] = answer.coefficients.values, answer.coefficients.spread
-    some = any(answer.n_speeds for _, answer in answers)
+        answers.append(answer)
+    used = [answer.n_speeds or len(points) for answer, points in zip(answers, states, strict=True)]
     return replace(
-        answers[0][1],
+        answers[0],
         coefficients=replace(measurement.known, values=values, deviation=deviation),
-        words=f"each of {len(states)} conditions by itself; the first: {answers[0][1].words}",
-        doubt=next((answer.doubt for _, answer in answers if answer.doubt), ""),
-        n_speeds=sum(answer.n_speeds or len(points) for points, answer in answers) if some else 0,
+        words=f"each of {len(states)} conditions by itself; the first: {answers[0].words}",
+        doubt=next((answer.doubt for answer in answers if answer.doubt), ""),
+        n_speeds=sum(used) if any(answer.n_speeds for answer in answers) else 0,
     )
 
 

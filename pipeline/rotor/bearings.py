@@ -25,7 +25,7 @@ from pipeline.config.quantities import (
 )
 from pipeline.config.section import NonNegativeInt, Section, rule
 from pipeline.errors import ConfigError
-from pipeline.laws.numbers import LOAD, turn_axes
+from pipeline.laws.numbers import LOAD, scale_film, turn_axes
 from pipeline.laws.oil import ConstantOilConfig, ModelledViscosity, OilConfig
 from pipeline.laws.short_bearing import short_coefficients, short_eccentricity
 from pipeline.laws.table import make_film_table, packaged_file, read_film_table
@@ -158,7 +158,7 @@ class CylindricalBearingConfig(_JournalBearing):
         load, viscosity = self.find_film(operating, share, len(speeds))
         slim = self.length**3 * self.journal_diameter / (8 * np.pi * self.radial_clearance**2)
         pure = short_coefficients(short_eccentricity(viscosity * speeds * slim / load))
-        return np.asarray(_scale(pure, load, self.radial_clearance, speeds) @ turn_axes(-np.pi / 2).T)
+        return np.asarray(scale_film(pure, load, self.radial_clearance, speeds) @ turn_axes(-np.pi / 2).T)
 
     def make_element(self, ross: Any, node: int, speeds: np.ndarray, share: float) -> Any:
         """ROSS's element."""
@@ -229,7 +229,7 @@ class JournalTableConfig(_JournalBearing):
                 f"{span[1]:.0f} rpm"
             )
         pure = table.tabulate(np.log(sommerfeld), self.preload or 0.0)
-        return np.asarray(_scale(pure, load, self.radial_clearance, speeds) @ turn_axes(self.load_angle).T)
+        return np.asarray(scale_film(pure, load, self.radial_clearance, speeds) @ turn_axes(self.load_angle).T)
 
 
 class SpeedTableConfig(_Bearing):
@@ -344,12 +344,6 @@ def flatten(stiffness: np.ndarray, damping: np.ndarray) -> list[float]:
     """The eight coefficients of matrices over x and y (and more)."""
     blocks = {"k": stiffness, "c": damping}
     return [float(blocks[name[0]]["xy".index(name[1]), "xy".index(name[2])]) for name in COEFFICIENTS]
-
-
-def _scale(pure: np.ndarray, load: np.ndarray, clearance: float, speeds: np.ndarray) -> np.ndarray:
-    """N/m and N s/m of dimensionless coefficients (S, 8)."""
-    size = (load / clearance)[:, None]
-    return np.concatenate([pure[:, :4] * size, pure[:, 4:] * size / speeds[:, None]], axis=1)
 
 
 def _find_beyond(values: np.ndarray, low: float, high: float, room: float = 1e-6) -> np.ndarray:

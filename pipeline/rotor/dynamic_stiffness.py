@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.errors import PipelineError
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.model import DOF_PER_NODE, RotorModel, Seals, casing_dof, seal_dof
+from pipeline.rotor.model import DOF_PER_NODE, RotorModel, Seals, casing_dof, list_translations
 from pipeline.write_numbers import write_number
 
 _NO_BLOCKS = np.empty((0, 0))
@@ -59,7 +59,7 @@ def banded(rotor: RotorModel, dof: np.ndarray | None = None) -> BandedStiffness:
     held = np.where(held < len(dof) - border.sum(), held, held[:, :1])
     least = np.ptp(held, axis=1).max(initial=0) if rotor.casings else 0
     bandwidth = int(np.abs(rows - columns).max(initial=least))
-    places = _locate(seal_dof(rotor), ordered)
+    places = _locate(list_translations(rotor.seals.nodes), ordered)
     bandwidth = max(bandwidth, int((places >= 0).all(axis=-1).any()))  # x and y of a seal lie side by side
     mass, damping, gyroscopic, stiffness = (_columns(block, bandwidth) for block in blocks)
     return BandedStiffness(
@@ -169,7 +169,7 @@ def apply(
     mass, damping, gyroscopic, stiffness = np.split(multiply(np.concatenate(parts), x), len(parts), axis=1)
     w, speed = frequencies[:, None, None], speeds[:, None, None]
     product = stiffness - w**2 * mass + 1j * w * (damping + speed * gyroscopic)
-    at_rows, at_columns = _locate(seal_dof(rotor), rows), _locate(seal_dof(rotor), columns)
+    at_rows, at_columns = (_locate(list_translations(rotor.seals.nodes), dof) for dof in (rows, columns))
     seals = rotor.seals.impedance(frequencies, speeds)
     for t, i, j in np.argwhere((at_rows[:, :, None] >= 0) & (at_columns[:, None] >= 0)):
         product[:, at_rows[t, i]] += seals[t, :, i, j, None] * x[:, at_columns[t, j]]
@@ -195,7 +195,7 @@ def assemble_systems(rotor: RotorModel, bearings: BearingTable) -> tuple[np.ndar
     stiffness = np.broadcast_to(rotor.stiffness, shape).copy()
     blocks, places = bearings.values.reshape(*bearings.values.shape[:2], 2, 2, 2), bearing_places(rotor)
     held = [*zip(places.spread(blocks), places.dof, strict=True)]
-    held += zip(rotor.seals.matrices(bearings.speeds), seal_dof(rotor), strict=True)
+    held += zip(rotor.seals.matrices(bearings.speeds), list_translations(rotor.seals.nodes), strict=True)
     for block, dof in held:
         for b, total in zip(range(block.shape[1]), (stiffness, damping, mass), strict=False):  # bearings have no mass
             total[(slice(None), *np.ix_(dof, dof))] += block[:, b]

@@ -105,11 +105,10 @@ def bearing_places(rotor: RotorModel) -> BearingPlaces:
         return BearingPlaces(np.hstack([dof, np.array(beside)]), np.stack(shares))
     if not any(rotor.bearing_shifts):
         return BearingPlaces(dof, np.broadcast_to(np.eye(TRANSLATIONS), (len(nodes), TRANSLATIONS, TRANSLATIONS)))
-    rows = []
-    for node, shift in zip(nodes, rotor.bearing_shifts, strict=True):
-        element = _element(rotor, node, shift)[0]
-        rows.append((element, shaft_rows(rotor, node, shift)[:, element]))
-    return BearingPlaces(np.stack([own for own, _ in rows]), np.stack([shares for _, shares in rows]))
+    places = list(zip(nodes, rotor.bearing_shifts, strict=True))
+    elements = np.stack([_element(rotor, *place)[0] for place in places])
+    rows = [shaft_rows(rotor, *place)[:, element] for place, element in zip(places, elements, strict=True)]
+    return BearingPlaces(elements, np.stack(rows))
 
 
 def move_bearing(rotor: RotorModel, bearing: int, shift: float) -> RotorModel:

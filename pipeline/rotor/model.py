@@ -7,7 +7,7 @@ DOF are uncoupled from these and left out. T seals, S speeds, R rows of seals. S
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -165,20 +165,14 @@ def translation_dof(node: int, direction: int) -> int:
 
 def bearing_dof(rotor: RotorModel) -> np.ndarray:
     """(B, 2) indices of x and y at each bearing."""
-    return _translations(rotor.bearing_nodes)
+    return list_translations(rotor.bearing_nodes)
 
 
 def casing_dof(rotor: RotorModel) -> np.ndarray:
     """(C, 2) indices of x and y of each node of the ground."""
-    return _translations(tuple(range(rotor.n_nodes, rotor.n_places)))
+    return list_translations(range(rotor.n_nodes, rotor.n_places))
 
 
-def seal_dof(rotor: RotorModel) -> np.ndarray:
-    """(T, 2) indices of x and y at each seal."""
-    return _translations(rotor.seals.nodes)
-
-
-def _translations(nodes: tuple[int, ...]) -> np.ndarray:
-    return np.array([[translation_dof(node, d) for d in range(TRANSLATIONS)] for node in nodes], dtype=int).reshape(
-        -1, TRANSLATIONS
-    )
+def list_translations(nodes: Sequence[int]) -> np.ndarray:
+    """(n, 2) indices of x and y at each of the ``nodes`` (n)."""
+    return DOF_PER_NODE * np.array(nodes, dtype=int)[:, None] + np.arange(TRANSLATIONS)

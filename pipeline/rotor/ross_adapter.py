@@ -201,8 +201,9 @@ def read_rotor_file(file: Path, _: str) -> Any:
     try:
         with warnings.catch_warnings(action="ignore"):
             data = rs.utils.load_data(file)
+            kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
             elements = [
-                _find_class(name, content, file).read_toml_data(content)
+                _find_class(name, content, file, kinds).read_toml_data(content)
                 for name, content in data.items()
                 if name not in ("parameters", "ross_version") and not name.startswith("_")
             ]
@@ -219,7 +220,6 @@ def read_rotor_file(file: Path, _: str) -> Any:
                     f"another begins at node {gap[1]} (rotors on one axis or joined by gears): save the rotor that was "
                     "measured by itself"
                 )
-            kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
             parts = [[element for element in elements if isinstance(element, kind)] for kind in kinds]
             return rs.Rotor(*parts, **data["parameters"])
     except ConfigError:
@@ -231,11 +231,11 @@ def read_rotor_file(file: Path, _: str) -> Any:
         ) from error
 
 
-def _find_class(name: str, content: Any, file: Path) -> Any:
-    """The class that reads an element that is called CLASS_TAG in the file: the simplest that has its matrices."""
+def _find_class(name: str, content: Any, file: Path, kinds: tuple[Any, ...]) -> Any:
+    """The class that reads an element that is called CLASS_TAG in the file, of one of the ``kinds``: the simplest that
+    has its matrices."""
     rs, word = ross(), name.partition("_")[0]
     ross_class = getattr(rs, word, None)
-    kinds = (rs.ShaftElement, rs.DiskElement, rs.BearingElement, rs.PointMass)
     if not isinstance(ross_class, type) or not issubclass(ross_class, kinds):
         known = sorted(
             name for name, candidate in vars(rs).items() if isinstance(candidate, type) and issubclass(candidate, kinds)

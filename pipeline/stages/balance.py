@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.balance.correction import place_holes
+from pipeline.balance.correction import Holes, place_holes
 from pipeline.balance.linear_vibration import LinearVibration
-from pipeline.balance.records import average_records, match_speeds
-from pipeline.balance.sheet import find_state, propose_weights, share_tolerance
+from pipeline.balance.records import match_speeds
+from pipeline.balance.sheet import Tolerance, find_state, propose_weights, require_state, share_tolerance
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.config.balance import ANY, WeightsConfig
 from pipeline.config.schema import Config
@@ -31,7 +31,7 @@ from pipeline.reporting.balance import (
 from pipeline.reporting.console import say
 from pipeline.rotor.model import RotorModel
 from pipeline.stages.analysis import Analysis
-from pipeline.stages.given_records import follow_day, list_missing, load_models, load_records
+from pipeline.stages.given_records import Day, fit_models, list_missing, load_models, load_records, read_day
 from pipeline.stages.measurement import prepare
 from pipeline.tracking import StageRecord
 from pipeline.units import RAD_S_PER_RPM
@@ -42,61 +42,75 @@ def run(analysis: Analysis) -> StageRecord:
     balance sheet where ``machine.balance`` says where weights can be put."""
     config = analysis.config
     measurement = prepare(analysis)
-    (fitted, fingerprint), file = load_models(analysis), config.balance.records
-    models = dict(fitted.models)
+    (fitted, fingerprint), asked, weights = load_models(analysis), config.balance, config.machine.balance
     source = SourceUnits(config.machine.recordings)
-    method = fitted.pick(config.balance.method, "balance.method")
-    planes = fitted.models[method].planes
+    # What is wrong with the question is said before a fit.
+    method = fitted.pick(asked.method, "balance.method")
+    day = _read(config, asked.records, fitted.conditions) if asked.records else None
+    readings, _ = day or (fitted.conditions, None)
+    plan = plan_correction(config, weights, readings, measurement.rotor) if weights else None
+    models = fit_models(config.name, fitted, day)
     by_method: dict[str, Estimates] = {}
     rows: list[dict[str, Any]] = []
-    for name, model in fitted.models.items():
-        readings = fitted.conditions
-        if file:
-            readings, model = _read(config, file, model)
-            models[name] = model
-        by_method[name] = estimate_all(readings, [model] * len(readings.names) if file else fitted.leave_each_out(name))
-        tabled = tabulate_estimates(name, by_method[name], planes, source)
+    for name, model in models.items():
+        by_method[name] = estimate_all(readings, [model] * len(readings.names) if day else fitted.leave_each_out(name))
+        tabled = tabulate_estimates(name, by_method[name], readings.planes, source)
         print_estimates(config.name, name, tabled)
         rows += tabled
-        if not file and not fitted.can_leave_out(name):
+        if not day and not fitted.can_leave_out(name):
             say(f"{config.name}: {name} was fitted to these conditions themselves; studies/folds tries it on others")
     summary: dict[str, Any] = {
         "methods": {name: estimates.summarize() for name, estimates in by_method.items()},
-        "sheet": None,
+        "sheet": correct(config, plan, models[method], method, readings) if plan else None,
     }
-    if weights := config.machine.balance:
-        readings = by_method[method].readings
-        summary["sheet"] = correct(config, weights, models[method], method, readings, measurement.rotor)
-    else:
+    if not plan:
         say(f"{config.name}: no correction weights, since machine.balance does not say where there are holes")
     written = [
         write_table(analysis.folder / "balance.csv", rows),
         write_json(analysis.folder / "balance.json", summary),
-        draw_balance(analysis.figure("balance"), method, by_method[method], planes, source),
+        draw_balance(analysis.figure("balance"), method, by_method[method], readings.planes, source),
     ]
     return StageRecord(summary, {"data_fingerprint": fingerprint}, written)
 
 
-def _read(config: Config, file: str, model: LinearVibration) -> tuple[Conditions, LinearVibration]:
-    """The conditions of ``file``, and the model on their day."""
+def _read(config: Config, file: str, experiment: Conditions) -> Day:
+    """The conditions of ``file``, at the speeds of the experiment's."""
     records = load_records(config, file, "balance.records")
-    readings = average_records(records, model)
-    missing = list_missing(records)
-    without = f" without {', '.join(missing)}" if missing else ""
+    readings, reference = read_day(records, experiment, config.balance.reference)
+    without = f" without {', '.join(missing)}" if (missing := list_missing(records)) else ""
     measured = np.flatnonzero((~np.isnan(readings.displacement)).any(axis=(0, 2)))
-    rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in model.speeds[measured])
+    rpm = ", ".join(f"{speed / RAD_S_PER_RPM:.0f}" for speed in readings.speeds[measured])
     say(f"{config.name}: {len(readings.names)} conditions of '{file}' at {rpm} rpm{without}")
-    return readings, follow_day(config.name, records, model, config.balance.reference)
+    return readings, reference
+
+
+def plan_correction(
+    config: Config, given: WeightsConfig, readings: Conditions, rotor: RotorModel
+) -> tuple[WeightsConfig, list[Holes | None], list[int], Tolerance | None]:
+    """What there is to correct with, the holes of each plane, the speeds that count, and what may remain.
+
+    Raises ConfigError and DataError for what can't be asked of the readings.
+    """
+    require_state(readings, config.balance, config.data.baseline)
+    wanted, grade = np.array(config.balance.speeds_rpm) * RAD_S_PER_RPM, given.tolerance
+    return (
+        given,
+        place_holes(given, readings.planes, SourceUnits(config.machine.recordings)),
+        match_speeds(wanted, readings.speeds, "balance.speeds_rpm").tolist(),
+        share_tolerance(rotor, readings.planes, grade.permissible(rotor.total_mass)) if grade else None,
+    )
 
 
 def correct(
-    config: Config, given: WeightsConfig, model: LinearVibration, method: str, readings: Conditions, rotor: RotorModel
+    config: Config,
+    plan: tuple[WeightsConfig, list[Holes | None], list[int], Tolerance | None],
+    model: LinearVibration,
+    method: str,
+    readings: Conditions,
 ) -> dict[str, Any]:
     """Choose, print and summarise the correction weights."""
-    source, asked = SourceUnits(config.machine.recordings), config.balance
-    holes = place_holes(given, model.planes, source)
-    speeds = match_speeds(np.array(asked.speeds_rpm) * RAD_S_PER_RPM, model.speeds, "balance.speeds_rpm").tolist()
-    state = find_state(model, readings, asked, config.data.baseline)
+    source, asked, (given, holes, speeds, tolerance) = SourceUnits(config.machine.recordings), config.balance, plan
+    state = find_state(model, readings, asked)
     every = [
         propose_weights(model, state, [hole and replace(hole, most=k) for hole in holes], asked.minimise, speeds)
         for k in range(given.most if given.masses == ANY else 1, given.most + 1)
@@ -104,11 +118,8 @@ def correct(
     sheet = every[-1]
     whose = {"residual": "the machine's own unbalance", "condition": f"condition {asked.condition}"}
     whose["both"] = f"{whose['condition']} and the machine's own unbalance"
-    grade = given.tolerance
-    tolerance = share_tolerance(rotor, model.planes, grade.permissible(rotor.total_mass)) if grade else None
-    title = f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}"
     described = describe_sheet(sheet, model.planes, source, tolerance)
-    print_sheet(title, described)
+    print_sheet(f"balance sheet for {whose[asked.remove]}, by {method}: least {asked.minimise}", described)
     if len(every) > 1:
         print_fewer(every, model.planes, source)
     rows = tabulate_vibration_change(sheet, model.speeds, model.channels, source)

@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pipeline.balance.fitted import Fitted, fit_models
+from pipeline.balance.fitted import Fitted
 from pipeline.balance.linear_vibration import LinearVibration
 from pipeline.balance.physical import Physical, restore_physical
-from pipeline.balance.records import average_records, judge_together, predict_records, shift_to_day
+from pipeline.balance.records import (
+    average_records,
+    find_reference,
+    judge_together,
+    place_records,
+    predict_records,
+    shift_to_day,
+)
 from pipeline.balance.unbalance import Estimates
 from pipeline.config.schema import Config
 from pipeline.data.conditions import Conditions, gather_conditions
@@ -39,7 +46,14 @@ def run(analysis: Analysis) -> StageRecord:
     records = load_records(config, file, "predict.records")
     fitted, fingerprint = load_models(analysis)
     method = fitted.pick(config.predict.method, "predict.method")
-    vibration = follow_day(config.name, records, fitted.models[method], config.predict.reference)
+    place_records(records, fitted.conditions)  # what is wrong with the table is said before a fit
+    try:
+        day: Day | None = read_day(records, fitted.conditions, config.predict.reference)
+    except DataError:  # what is predicted needs no vectors, nor one set of weights a condition
+        if config.predict.reference:
+            raise
+        day = None
+    vibration = fit_models(config.name, fitted, day)[method]
     predicted = predict_records(records, vibration)
     recordings = cast("RecordsConfig", config.machine.recordings)  # load_records has seen to it
     pairs = [(probe.columns.real, probe.columns.imaginary) for probe in recordings.probes.values()]
@@ -67,17 +81,30 @@ def run(analysis: Analysis) -> StageRecord:
 
 
 def load_models(analysis: Analysis) -> tuple[Fitted, str]:
-    """Influence coefficients, and where constant coefficients have been identified, that model and the blend of both;
-    with the fingerprint of the records.
-
-    Conditions that contradict their labels are named and left out.
-    """
+    """The experiment's conditions, to be fitted by influence coefficients, and where constant coefficients have been
+    identified, that model and the blend of both; with the fingerprint of the records."""
     config, dataset = analysis.config, load_dataset(analysis.config)
     conditions = gather_conditions(dataset, config.machine.recordings.planes or None)
-    fitted = fit_models(conditions, _load_physical(analysis, conditions))
-    if names := ", ".join(fitted.contradictions):
-        say(f"{config.name}: influence coefficients without {names}, which contradict their labels")
-    return fitted, dataset.fingerprint
+    return Fitted(conditions, _load_physical(analysis, conditions)), dataset.fingerprint
+
+
+Day = tuple[Conditions, Conditions | None]
+"""The readings of a table, and the condition among them that shows what their day adds, where one is named."""
+
+
+def read_day(records: Records, experiment: Conditions, reference: str | None) -> Day:
+    """The means of the ``records`` at the speeds of the ``experiment``. Raises DataError as
+    :func:`pipeline.balance.records.average_records` and :func:`pipeline.balance.records.find_reference`."""
+    readings = average_records(records, experiment)
+    return readings, find_reference(readings, reference) if reference else None
+
+
+def fit_models(name: str, fitted: Fitted, day: Day | None) -> dict[str, LinearVibration]:
+    """The model of each method, on the ``day`` of a table, as its reference shows it; without a reference as it is,
+    with a warning where the readings depart together. Conditions that contradict their labels are named."""
+    if names := ", ".join(fitted.judged[0]):
+        say(f"{name}: influence coefficients without {names}, which contradict their labels")
+    return {method: _follow(name, model, *day) if day else model for method, model in fitted.models.items()}
 
 
 def _load_physical(analysis: Analysis, conditions: Conditions) -> Physical | None:
@@ -106,18 +133,10 @@ def list_missing(records: Records) -> Sequence[str]:
     return [name for p, name in enumerate(records.probes) if np.isnan(records.displacement[:, p]).all()]
 
 
-def follow_day(name: str, records: Records, model: LinearVibration, reference: str | None) -> LinearVibration:
-    """The model on the day of the ``records``, as their condition ``reference`` shows it; without one as it is, with a
-    warning where they depart together. Raises DataError as :func:`pipeline.balance.records.shift_to_day`."""
-    try:
-        conditions = average_records(records, model)
-    except DataError:  # what is predicted needs no vectors, nor one set of weights a condition
-        if reference:
-            raise
-        return model
+def _follow(name: str, model: LinearVibration, readings: Conditions, reference: Conditions | None) -> LinearVibration:
     if reference:
-        return shift_to_day(conditions, model, reference)
-    if (chance := judge_together(conditions, model, Estimates.RARE)) < Estimates.RARE:
+        return shift_to_day(reference, model)
+    if (chance := judge_together(readings, model, Estimates.RARE)) < Estimates.RARE:
         warn(
             f"{name}: the records depart together from what their weights make (by chance in "
             f"{write_number(chance, digits=1)} of tables), "

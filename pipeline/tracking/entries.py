@@ -142,15 +142,16 @@ def collect_history(
 
     :raises KeyError: if a row has no ``step``
     """
-    values: list[MetricValue] = []
-    skipped: list[str] = []
-    for number, row in enumerate(history, start=1):
-        numbers = {name: value for name, value in row.items() if name != "step" and not isinstance(value, str)}
-        time = started + (ended - started) * number / len(history)
-        finite, others = collect_values(numbers, time, int(row["step"]))
-        values += finite
-        skipped += others
-    return values, list(dict.fromkeys(skipped))
+    collected = [
+        collect_values(
+            {name: value for name, value in row.items() if name != "step" and not isinstance(value, str)},
+            started + (ended - started) * number / len(history),
+            int(row["step"]),
+        )
+        for number, row in enumerate(history, start=1)
+    ]
+    skipped = dict.fromkeys(name for _, names in collected for name in names)
+    return [value for values, _ in collected for value in values], list(skipped)
 
 
 # --- what it was made with ---------------------------------------------------------------------------

@@ -230,6 +230,7 @@ def _log_parts(
         not_finite.extend(collected[1])
 
     tags = [RunTag(*tag) for tag in flatten_tags(dict(record.tags)).items() if tag[0] not in run.data.tags]
+    has_data = bool(record.data and record.tags.get("data_fingerprint"))
     parts: list[tuple[str, Callable[[], object]]] = [
         *([("the tags", partial(client.log_batch, run_id, tags=tags))] if tags else []),
         ("the parameters", lambda: _log_values(client, run_id, (), record.parameters)),
@@ -237,23 +238,20 @@ def _log_parts(
             "the configuration",
             lambda: client.log_text(run_id, without_password(write(simplify(record.parameters))), "config.yaml"),
         ),
-    ]
-    if record.data and record.tags.get("data_fingerprint"):
-        parts.append(("the data", lambda: _log_data(client, run_id, record)))
-    if record.model:  # it comes before the metrics, which belong to it too
-        parts.append(("the model", lambda: model_ids.append(log_model(client, run, record))))
-    parts += [
+        *([("the data", partial(_log_data, client, run_id, record))] if has_data else []),
+        # It comes before the metrics, which belong to it too.
+        *([("the model", lambda: model_ids.append(log_model(client, run, record)))] if record.model else []),
         ("the metrics", lambda: log_metrics(collect_values(record.metrics, record.ended), *model_ids)),
         ("the history", lambda: log_metrics(collect_history(record.history, record.started, record.ended))),
-    ]
-    parts += [
-        (f"the file {path}", partial(client.log_artifact, run_id, str(path), folder))
-        for path, folder in _sort_files(record.files)
-    ]
-    parts += [
-        (child.stage, partial(_log_child, client, run, record, child))
-        for child in record.children
-        if child.stage not in logged
+        *(
+            (f"the file {path}", partial(client.log_artifact, run_id, str(path), folder))
+            for path, folder in _sort_files(record.files)
+        ),
+        *(
+            (child.stage, partial(_log_child, client, run, record, child))
+            for child in record.children
+            if child.stage not in logged
+        ),
     ]
     problems = try_parts(parts, record.stage, patience_seconds)
     if not_finite:

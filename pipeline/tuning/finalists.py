@@ -180,10 +180,10 @@ def format_trials(study: optuna.Study) -> str:
 
     with warnings.catch_warnings(action="ignore"):  # experimental, in Optuna's words
         note, metrics = get_note(study), study.metric_names
-    lines: list[dict[str, Any]] = [
-        {"study": study.study_name, "metrics": metrics, "note": note, "attributes": study.user_attrs}
+    lines = [
+        {"study": study.study_name, "metrics": metrics, "note": note, "attributes": study.user_attrs},
+        *(_describe(trial) for trial in study.get_trials(deepcopy=False) if trial.state.is_finished()),
     ]
-    lines += [_describe(trial) for trial in study.get_trials(deepcopy=False) if trial.state.is_finished()]
     return "".join(json.dumps(line) + "\n" for line in lines)
 
 

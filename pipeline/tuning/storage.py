@@ -50,11 +50,9 @@ def open_storage(config: TuningConfig) -> optuna.storages.RDBStorage:
 
     :raises StorageError: where it can't be reached within ``timeout_seconds``, read or written
     """
-    if is_shared(config):
-        with translate_errors(config, "Check its user, password, host and name"):
-            return run_within(config.timeout_seconds, lambda: _open_database(config))
-    with translate_errors(config, "Give another file: tuning.storage=sqlite:///FILE.db"):
-        return _open_database(config)
+    shared, file = is_shared(config), "Give another file: tuning.storage=sqlite:///FILE.db"
+    with translate_errors(config, "Check its user, password, host and name" if shared else file):
+        return run_within(config.timeout_seconds, lambda: _open_database(config)) if shared else _open_database(config)
 
 
 def settle(config: TuningConfig) -> None:

@@ -80,11 +80,12 @@ def _hash_program() -> dict[str, str]:
     import optuna
 
     package = Path(__file__).parents[1]
-    prints = {"optuna": optuna.__version__}
-    for folder in ("problem", "identification"):
-        text = b"".join(path.read_bytes() for path in sorted((package / folder).glob("*.py")))
-        prints[f"pipeline/{folder}"] = hashlib.sha256(text).hexdigest()[:12]
-    return prints
+    sources = {
+        folder: b"".join(path.read_bytes() for path in sorted((package / folder).glob("*.py")))
+        for folder in ("problem", "identification")
+    }
+    hashes = {f"pipeline/{folder}": hashlib.sha256(text).hexdigest()[:12] for folder, text in sources.items()}
+    return {"optuna": optuna.__version__} | hashes
 
 
 def open_study(problem: StudyProblem) -> optuna.Study:

@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pipeline.config.promotion import apply_values
@@ -137,7 +137,7 @@ class _Curve:
     steps: int = 0
     last: float = math.inf
     known: bool = False  # whether there is a loss on the way
-    due: list[int] = field(default_factory=lambda: list(range(10, 101, 10)))  # percents that are yet to be reported
+    percent: int = 0  # up to which it was reported, a multiple of ten
 
     def __call__(self, phase: str, step: int, total: int, loss: Callable[[], float] | None) -> None:
         import optuna
@@ -145,24 +145,22 @@ class _Curve:
         self.steps += 1
         self.seen(self.trial.study)
         self.known |= loss is not None
-        if loss is None or not self.due or 100 * step < self.due[0] * total:
+        if loss is None or (percent := min(10 * step // total, 10) * 10) <= self.percent:
             return
-        while self.due and 100 * step >= self.due[0] * total:
-            percent = self.due.pop(0)
         self._report(percent, loss())
         if self.trial.should_prune():
             raise optuna.TrialPruned
 
     def _report(self, percent: int, loss: float) -> None:
+        self.percent = percent
         if math.isfinite(loss):
             self.last = score(loss)
             self.trial.report(self.last, percent)
 
     def carry_to_the_end(self, loss: float) -> None:
         """A training that converged early keeps its loss: later trials are compared with it."""
-        for percent in self.due if self.known else ():
+        for percent in range(self.percent + 10, 101, 10) if self.known else ():
             self._report(percent, loss)
-        self.due = []
 
 
 # --- several of them ----------------------------------------------------------------------------------

@@ -72,9 +72,7 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
     points, identified = evaluate_at(answer.model, stated, operating, OPERATING, speeds)
     truth, w = _truth_at(machine, stated, modelled, operating, speeds), find_frequencies(machine.prediction, speeds)
     highest = float(stated.dataset.frequencies.max())
-    systems: dict[str, BearingTable] = {}
-    vibration: dict[str, PredictedVibration] = {}
-    behaviour: dict[str, Behaviour] = {}
+    made: dict[str, tuple[BearingTable, PredictedVibration, Behaviour]] = {}
     if truth is not None:
         rotor, acting, place = stated.rotor, unseen, node
         if built := machine.as_built:  # which has nodes of its own
@@ -84,19 +82,22 @@ def build_twin(machine: MachineConfig, answer: Answer, modelled: BearingTable | 
                 refine_nodes(unseen, built),
             )
             place = built.refinement * node
-        systems["modelled"], vibration["modelled"] = truth, predict(rotor, truth, acting, place, w)
-        behaviour["modelled"] = Behaviour(find_modes(rotor, truth, highest=highest))
-    systems["identified"] = identified
-    vibration["identified"] = predict(points.updated_rotor, identified, unseen, node, w)
-    modes = find_modes(points.updated_rotor, identified, highest=highest)
-    deviations = None
+        behaviour = Behaviour(find_modes(rotor, truth, highest=highest))
+        made["modelled"] = truth, predict(rotor, truth, acting, place, w), behaviour
+    vibration = predict(points.updated_rotor, identified, unseen, node, w)
+    modes, deviations = find_modes(points.updated_rotor, identified, highest=highest), None
     if answer.uncertainty is not None:
-        about = (points, identified)
-        vibration["identified"] = add_deviation(vibration["identified"], *about, unseen, answer.uncertainty)
-        deviations = deviate_modes(modes, *about, answer.uncertainty)
-    shown = read_modes(stated.dataset, stated.deviation, modes)
-    behaviour["identified"] = Behaviour(modes, deviations, shown)
-    return Twin(systems, vibration, behaviour, at, operating)
+        vibration = add_deviation(vibration, points, identified, unseen, answer.uncertainty)
+        deviations = deviate_modes(modes, points, identified, answer.uncertainty)
+    behaviour = Behaviour(modes, deviations, read_modes(stated.dataset, stated.deviation, modes))
+    made["identified"] = identified, vibration, behaviour
+    return Twin(
+        systems={name: table for name, (table, _, _) in made.items()},
+        vibration={name: predicted for name, (_, predicted, _) in made.items()},
+        behaviour={name: behaviour for name, (_, _, behaviour) in made.items()},
+        at=at,
+        operating=operating,
+    )
 
 
 def _truth_at(

@@ -20,7 +20,6 @@ def _holes(count: int, most: int, masses: tuple[float, ...] | None, first: float
 
 
 def _every_choice(one: Holes) -> list[complex]:
-    assert one.masses is not None
     return [
         complex(sum(m * one.unit[h] for h, m in zip(at, of, strict=True)))
         for k in range(one.most + 1)

@@ -11,7 +11,7 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.balance.records import average_records, judge_together, predict_records, shift_to_day
+from pipeline.balance.records import average_records, find_reference, judge_together, predict_records, shift_to_day
 from pipeline.balance.unbalance import Estimates, estimate_all
 from pipeline.errors import DataError
 from pipeline.ingest.records import Records
@@ -119,7 +119,7 @@ def test_another_day_is_seen_and_its_reference_takes_it_away() -> None:
         records = _records(
             unbalance, 3 * circular(rng, 1, SIZE) @ MACHINE.root.T + circular(rng, 5, SIZE) @ MACHINE.root.T, 1
         )
-        day = shift_to_day(average_records(records, RIG), RIG, "C000")
+        day = shift_to_day(find_reference(average_records(records, RIG), "C000"), RIG)
         without.append(judge_together(average_records(records, RIG), RIG, 0.01))
         within.append(predict_records(records, day).within[2:])
         estimates = estimate_all(average_records(records, day), [day] * 5)
@@ -143,12 +143,12 @@ def test_records_of_the_same_day_are_seldom_called_those_of_another() -> None:
 def test_a_reference_must_be_there_and_whole() -> None:
     records = _records(_weights(np.random.default_rng(10), 2))
     with pytest.raises(DataError, match=r"must be a condition of the records, but got 'C00': did you mean 'C00"):
-        shift_to_day(average_records(records, RIG), RIG, "C00")
+        find_reference(average_records(records, RIG), "C00")
     lost = replace(records, displacement=np.where([True, False, True], records.displacement, np.nan))
     unknown = replace(records, unbalance=np.full_like(records.unbalance, np.nan))
     for lacking in (lost, unknown):
         with pytest.raises(DataError, match="must have its weights, and a vector of each probe"):
-            shift_to_day(average_records(lacking, RIG), RIG, "C001")
+            find_reference(average_records(lacking, RIG), "C001")
 
 
 def test_the_experiments_own_conditions_are_readings() -> None:

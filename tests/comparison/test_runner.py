@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
-from pipeline.comparison.cases import Case, Machine, Result
-from pipeline.comparison.runner import MethodRun, compare, hash_inputs, name_file
+from pipeline.comparison.cases import Case, Machine, MethodRun, Result
+from pipeline.comparison.runner import compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
 from pipeline.methods.catalogue import METHODS
@@ -97,9 +97,9 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     asked: list[MethodRun] = []
     real = runner.judge_method
 
-    def counted(machine: Machine, *item: Any) -> Result:
+    def counted(machine: Machine, item: MethodRun) -> Result:
         asked.append(item)
-        return real(machine, *item)
+        return real(machine, item)
 
     monkeypatch.setattr(runner, "judge_method", counted)
     results = compare(own, RUNS, tmp_path, nothing)
@@ -154,7 +154,7 @@ def killed(*_: object) -> Result:
 
 @pytest.mark.slow
 def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "_judge", killed)
+    monkeypatch.setattr(runner, "judge_method", killed)
     with pytest.raises(PipelineError, match=r"run the same command again, with comparison\.workers=1"):
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
 

@@ -85,7 +85,6 @@ def test_the_path_of_a_bearings_table_starts_there_and_the_name_of_one_is_none(f
     laws = {"oil": {"law": "constant", "viscosity": 0.02}, "bearings": {1: law | {"table": "own.csv"}}}
     laws["bearings"][5] = law | {"table": "elliptical", "preload": 0.3}
     read = compose_config([given_by(machine_file(folder, laws=laws))]).machine.laws
-    assert read is not None
     assert [getattr(one, "table", "") for one in read.bearings.values()] == [str(folder / "own.csv"), "elliptical"]
 
 

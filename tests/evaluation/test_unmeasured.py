@@ -22,7 +22,6 @@ EIGHT = ("kxx", "kxy", "kyx", "kyy", "cxx", "cxy", "cyx", "cyy")
 
 def test_each_speed_once_at_each_condition() -> None:
     table = model_unmeasured(compose_config([*OIL, "machine.unmeasured.oil_temperature=[70 degC,40 degC]"]), SPEEDS)
-    assert table is not None
     np.testing.assert_allclose(table.operating["oil_temperature"] - 273.15, [40, 40, 70, 70])
     np.testing.assert_allclose(table.speeds, np.tile(SPEEDS[:2], 2))
     wrong = replace(table, values=table.values * np.array([1.01, 1.01, 1.03, 1.03])[:, None])

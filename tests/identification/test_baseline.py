@@ -133,7 +133,6 @@ def test_intervals_hold_as_often_as_they_say(
     for seed in range(50):
         found = fit(measurement := measured(rotor_of, clean, seed), setup)
         deviation = found.deviation(rotor_of.speeds)
-        assert deviation is not None
         over.append(((found.model.table(measurement.known).values - truth) / deviation)[:, 0, [0, 3, 4, 7]])
         square = found.quality.summary["fit"]["chi_square"]
         squares.append(square["value"] / square["expected"])

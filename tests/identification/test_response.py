@@ -79,7 +79,6 @@ def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple
     dataset = project(rotor_of.dataset, channels)
     equations = SolvedRotor(rotor_of.rotor, dataset, STIFFNESS).response
     made = expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
-    assert made is not None
     residual = made.equations.residual(rotor_of.bearings.impedance())
     assert np.abs(residual).max() < 1e-6 * np.abs(made.equations.free_residual).max()
 

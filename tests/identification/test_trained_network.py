@@ -125,7 +125,6 @@ def test_intervals_hold_on_five_data_sets() -> None:
         found: Fit = fit(measurement, setup("model.width=8", "loss.networks=8"))
         plain = fit(measurement, setup("loss.hidden=drawn", "model.width=24"))
         band = found.deviation(measurement.dataset.speeds)
-        assert band is not None
         off, other = (np.abs(one.table(measurement.known).values - truth) for one in (found, plain))
         stated = ~np.isnan(band)
         held.append((off[stated] <= 1.96 * band[stated]).mean())

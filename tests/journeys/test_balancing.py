@@ -10,9 +10,9 @@ import pytest
 from conftest import DATA, Artifacts, assert_says
 from running import ROOT, composed, strict_json
 
+from pipeline.balance import fitted
 from pipeline.errors import ConfigError, DataError
-from pipeline.stages import balance, given_records, run_stage
-from pipeline.stages.analysis import Analysis
+from pipeline.stages import run_stage
 
 pytestmark = pytest.mark.slow
 RECORDS = ROOT / "examples" / "rk4" / "records.csv"
@@ -99,10 +99,8 @@ def test_known_weights_foretell_the_vibration(folder: Path, tmp_path: Path) -> N
 
 
 def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each in a table of its own, beside models that are fitted once."""
-    models = given_records.load_models(Analysis(composed("experiment=rk4", "tracking=none", f"output={folder}")))
-    for module in (balance, given_records):
-        monkeypatch.setattr(module, "load_models", lambda _: models)
+    """Each in a table of its own, before anything is fitted."""
+    monkeypatch.setattr(fitted, "find_contradictions", lambda _: pytest.fail("fitted before the mistake was said"))
     rows = _some("A003")
     fast = _write(tmp_path / "fast.csv", [r | {"rpm": "1400"} for r in rows])
     without = _write(tmp_path / "without.csv", [{k: v for k, v in r.items() if k != "condition"} for r in rows])
@@ -122,6 +120,8 @@ def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path, monkeypatch
         _run(folder, "balance", given, "balance.condition=A0003", "balance.remove=both")
     with pytest.raises(ConfigError, match=r"balance\.method must be a method with a fit"):
         _run(folder, "balance", given, "balance.method=magic")
+    with pytest.raises(DataError, match="must be a condition of the records, but got 'A0003': did you mean 'A003'"):
+        _run(folder, "balance", given, "balance.reference=A0003")
     with pytest.raises(ConfigError, match="name a condition"):
         composed("experiment=rk4", "balance.remove=both")
     with pytest.raises(ConfigError, match=r"grade of ISO 21940-11 such as G2\.5"):

@@ -171,7 +171,6 @@ def test_an_interrupt_in_a_real_process(tmp_path: Path) -> None:
         # A shell's background job hands down an ignored SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)

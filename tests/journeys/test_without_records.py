@@ -14,12 +14,7 @@ from pipeline.stages import run_stage
 pytestmark = pytest.mark.slow
 MISTAKES: dict[str, tuple[str, tuple[str, ...], type[PipelineError], str]] = {
     "balance of one run": ("balance", (), IdentifiabilityError, "add a trial weight in each plane alone"),
-    "balance of records": (
-        "balance",
-        ("balance.records=given.csv",),
-        PipelineError,
-        "add a trial weight in each plane alone",
-    ),
+    "balance of records": ("balance", ("balance.records=given.csv",), PipelineError, "balance.records must be"),
     "predict of records": ("predict", ("predict.records=given.csv",), PipelineError, "predict.records must be"),
     "runup": ("runup", (), ConfigError, "machine.run_up is missing"),
     "senses of another loss": ("senses", (), ConfigError, "must have loss=response"),

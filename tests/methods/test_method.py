@@ -37,7 +37,6 @@ def test_each_condition_is_answered_by_itself(method: str) -> None:
     joined = np.concatenate([of.coefficients.values for of in alone], axis=1)
     np.testing.assert_array_equal(both.coefficients.values, joined)
     stated = [of.coefficients.deviation for of in alone]
-    assert both.coefficients.deviation is not None
     np.testing.assert_array_equal(both.coefficients.deviation, np.concatenate(stated, axis=1))
     assert "each of 2 conditions" in both.words
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import draw
 import numpy as np
 import pytest
 import torch
+from ordinary import write_user_files
 from scipy.interpolate import CubicSpline
 from training import dense_jacobian
 
@@ -34,40 +34,28 @@ from pipeline.parameters.as_built import AsBuiltConfig
 from pipeline.rotor.weight import estimate_journals, find_static_loads
 from pipeline.stages.measurement import load_measurement
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def study() -> Any:
-    """Modules of studies/ordinary, which is no package."""
-    sys.path.insert(0, str(ROOT / "studies" / "ordinary"))
-    try:
-        yield {name: importlib.import_module(name) for name in ("draw", "ordinary")}
-    finally:
-        sys.path.pop(0)
-
-
-@pytest.fixture(scope="module")
-def measurement(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
+def measurement(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
     """The measurement of a drawn machine without noise, by its user's files, and the real coefficients."""
     folder = tmp_path_factory.mktemp("drawn")
-    felt = study["ordinary"].write_user_files(folder, replace(study["draw"].draw_machine(3), floor=0.0), 0.0, 3)
+    felt = write_user_files(folder, replace(draw.draw_machine(3), floor=0.0), 0.0, 3)
     config = compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none", f"output={folder / 'answer'}"])
     return load_measurement(config), felt
 
 
-def test_a_seed_is_a_machine(study: Any) -> None:
+def test_a_seed_is_a_machine() -> None:
     """Trouble and noise change nothing of what its user states."""
-    first, again = (study["draw"].draw_machine(5, trouble=trouble) for trouble in ("none", "discs"))
+    first, again = (draw.draw_machine(5, trouble=trouble) for trouble in ("none", "discs"))
     assert first.stated == again.stated
     assert first.bearings == again.bearings
-    assert study["draw"].draw_machine(6).stated != first.stated
+    assert draw.draw_machine(6).stated != first.stated
 
 
-def test_trouble_is_in_the_readings(study: Any) -> None:
+def test_trouble_is_in_the_readings() -> None:
     """Each kind changes them, and by no more than its size can: the noise is the same."""
-    draw = study["draw"]
     drawn = draw.draw_machine(3)
     exact, _ = draw.measure_machine(drawn, 0.0, 3)
     size = np.abs(exact.displacement).max(axis=0)
@@ -78,9 +66,8 @@ def test_trouble_is_in_the_readings(study: Any) -> None:
         assert np.median(off) < 2.0, trouble
 
 
-def test_an_anisotropic_shaft_turns_with_its_directions(study: Any) -> None:
+def test_an_anisotropic_shaft_turns_with_its_directions() -> None:
     """Weights along the stiff direction, on isotropic bearings without loss: a shaft of that stiffness all around."""
-    draw = study["draw"]
     config = draw.compose_real(draw.draw_machine(3))
     rotor, speeds = draw.load_rotor(config.machine.rotor), np.linspace(40.0, 160.0, 5)
     nodes, discs = rotor.bearing_nodes, rotor.disc_nodes
@@ -95,9 +82,8 @@ def test_an_anisotropic_shaft_turns_with_its_directions(study: Any) -> None:
     assert np.abs(found - expected).max() < 1e-6 * np.abs(expected - still).max()
 
 
-def test_a_short_bearing_of_ross_is_a_member_of_the_plain_family(study: Any) -> None:
+def test_a_short_bearing_of_ross_is_a_member_of_the_plain_family() -> None:
     """And no rolling one: by the distance to each mean, in deviations (Friswell et al. 2010, page 177)."""
-    draw = study["draw"]
     drawn = draw.draw_machine(2)
     assert {bearing["kind"] for bearing in drawn.bearings.values()} == {"cylindrical"}
     config = draw.compose_real(drawn)
@@ -122,11 +108,11 @@ def test_a_short_bearing_of_ross_is_a_member_of_the_plain_family(study: Any) -> 
 
 
 @pytest.fixture(scope="module")
-def setup_and_nodes(study: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[FitSetup, OutputErrorFit, Any]:
+def setup_and_nodes(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitSetup, OutputErrorFit, Any]:
     """A drawn machine with 1 % + 0.05 um of noise, identified by the default path up to values at the nodes, and the
     real coefficients."""
     folder = tmp_path_factory.mktemp("noisy")
-    felt = study["ordinary"].write_user_files(folder, study["draw"].draw_machine(3), 0.01, 3)
+    felt = write_user_files(folder, draw.draw_machine(3), 0.01, 3)
     setup = setup_of(config := compose_config([f"machine.file={folder / 'machine.yaml'}", "tracking=none"]))
     return setup, fit_from(prepare_output_error(load_measurement(config), setup), setup), felt
 
@@ -261,7 +247,7 @@ def test_priors_that_ask_for_numbers_are_their_dense_twin(at_nodes: OutputErrorF
         assert float(square) == pytest.approx(float(asking.normal(y)[0][0, 0, place]), rel=1e-3, abs=1e-3)
 
 
-def test_the_readings_without_noise_are_explained(study: Any, measurement: tuple[Any, Any]) -> None:
+def test_the_readings_without_noise_are_explained(measurement: tuple[Any, Any]) -> None:
     """At the real coefficients, as values at the nodes, hardly anything is left beside what nodes can't follow."""
     measured, felt = measurement
     w = measured.dataset.speeds
@@ -370,14 +356,12 @@ def test_the_likeliest_choice_is_found_from_any_beside_it(at_nodes: OutputErrorF
         (443, "support", ("plain on a pedestal", "rolling on a pedestal")),
     ],
 )
-def test_the_real_kinds_are_the_likeliest(
-    study: Any, tmp_path: Path, seed: int, trouble: str, kinds: tuple[str, str]
-) -> None:
+def test_the_real_kinds_are_the_likeliest(tmp_path: Path, seed: int, trouble: str, kinds: tuple[str, str]) -> None:
     """Narrower priors, that of tilting pads, explain less on the first machine; on the second the real kinds were the
     likeliest without tolerances of probes, and were dropped before they had any. The third stands on pedestals. A
     rolling bearing on one is a spring again, so that on the second machine either ground may be the likelier.
     """
-    study["ordinary"].write_user_files(tmp_path, study["draw"].draw_machine(seed, trouble=trouble), 0.01, seed)
+    write_user_files(tmp_path, draw.draw_machine(seed, trouble=trouble), 0.01, seed)
     config = compose_config([f"machine.file={tmp_path / 'machine.yaml'}", "tracking=none", f"output={tmp_path}/answer"])
     searched: Any = prepare_output_error(load_measurement(config), setup_of(config)).searched
     found, ground = searched.choices.families[0], " on a pedestal"

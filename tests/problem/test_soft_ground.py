@@ -183,7 +183,6 @@ def test_cross_terms_of_supports_come_back_from_exact_readings() -> None:
     parameters = model_parameters(kinds, made.rotor, data, made.known, made.unknowns)
     exact = replace(made, dataset=data, parameters=parameters)
     answer = fit(exact, default_setup(Guess(1e7, 1e4), constant=True))
-    assert answer.uncertainty is not None
     shifts = {p.name: p.deviation * v for p, v in zip(parameters, answer.uncertainty.parameters, strict=True)}
     for letter, kind in (("k", "support_cross_stiffness"), ("c", "support_cross_damping")):
         for node, axes in ((1, "xy"), (1, "yx"), (6, "xy"), (6, "yx")):
@@ -291,7 +290,6 @@ def test_cross_coefficients_that_start_at_zero_have_shares() -> None:
     """Sizes that are stated make a fit start at guesses, where cross coefficients are zero; supports are off."""
     made = replace(measured((SHAFT, CASING), NoiseModel(5e-8, 0.01)), parameters=())
     found = combine(made, default_setup(made.guess, constant=True))
-    assert found is not None
     assert 0 < found.strongest.deviation < found.weakest.deviation < np.inf
 
 

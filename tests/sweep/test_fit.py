@@ -125,7 +125,6 @@ def test_the_decay_behind_the_peak_is_the_mode(rate: float) -> None:
     """Up and down; the forced part is left to the background."""
     rpm = 1580.0 if rate > 0 else 2100.0
     found = fit_decay(made(((rpm, 0.008, 5e-6 + 0j),), rate), rpm * RPM)
-    assert found is not None
     assert found.frequencies[0] / RPM == pytest.approx(rpm, rel=2e-3)
     assert found.dampings[0] == pytest.approx(0.008, rel=0.15)
 
@@ -156,8 +155,6 @@ def test_a_run_up_without_a_peak_is_refused() -> None:
 
 def test_a_mean_over_rows_reads_a_lower_and_wider_peak() -> None:
     sharp, smooth = (read_smoothed_peak(made(ONE), rows) for rows in (1, 15))
-    assert sharp is not None
-    assert smooth is not None
     assert smooth.amplitude < sharp.amplitude
     assert smooth.damping > sharp.damping
 

@@ -170,7 +170,6 @@ def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
     for stage in ("configure", "generate", "train", "evaluate", "robustness", "predict"):
         config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
         assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
-        assert config.promoted is not None
         assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
     config = compose_config(["stage=tune", f"tuning.promoted={study}"])
     assert (config.model.width, config.promoted) == (48, None)
@@ -191,7 +190,6 @@ def test_the_command_line_wins_over_promoted_values(study: Path, override: str, 
     """A value, or the group that it is in, given explicitly is in force; the other promoted values stay."""
     config = compose_config([f"tuning.promoted={study}", override])
     plain = compose_config([NO_STUDY, override])
-    assert config.promoted is not None
     assert set(config.promoted.overridden) == set(overridden)
     for key in overridden:
         section, field = key.split(".")
@@ -252,7 +250,6 @@ def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
     dataset = simulate(hydrostatic.rotor, truth, hydrostatic.excitations)
     measurement = replace(hydrostatic.measurement, dataset=dataset, known=truth)
     fit = fit_chebyshev(measurement, setup_of(untuned("training.holdout_every=5")))
-    assert fit is not None
     assert fit.held_out_loss < 1e-11
     for name in ("kxx", "kyy"):
         np.testing.assert_allclose(fit.identified.table(truth).coefficient(name), truth.coefficient(name), rtol=1e-9)

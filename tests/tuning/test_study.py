@@ -103,10 +103,7 @@ def test_another_kind_must_have_all_its_values(posed: StudyProblem, kind: str, w
         apply_values(posed.config, {"model.kind": kind}, "trial 1")
 
 
-def test_a_study_must_have_one_noise_and_held_out_speeds(posed: StudyProblem) -> None:
+def test_a_study_must_have_one_noise(posed: StudyProblem) -> None:
     estimated = with_config(posed, loss=posed.config.loss.model_copy(update={"noise": "estimated"}))
     with pytest.raises(ConfigError, match="must judge its trials by one noise"):
         pose_study(estimated.config, posed.measurement)
-    none = with_config(posed, training=posed.config.training.model_copy(update={"holdout_every": 0}))
-    with pytest.raises(ConfigError, match="holdout_every is 0"):
-        pose_study(none.config, posed.measurement)

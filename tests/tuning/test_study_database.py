@@ -92,7 +92,6 @@ def test_machines_that_make_a_study_together(database: str, start: Forks, make: 
     notes = [trial.user_attrs.get("note") for trial in trials_of(problem)]
     assert notes == ["the configured default"] + [None] * (len(notes) - 1)
     with stored(problem) as study:
-        assert study is not None
         assert study.user_attrs.keys() == {"made_from"}
         assert study.metric_names == ["log10 of the held-out loss"]
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from running import names_in
 
 from pipeline.__main__ import main
 from pipeline.errors import ConfigError
@@ -361,8 +362,7 @@ def test_the_command_line_goes_on_where_it_was_interrupted(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """SIGINT is 130 and a sentence; the same command ends with the trials of an undisturbed study, then has nothing
-    to do."""
+    """SIGINT is 130 and a sentence; the same command ends with the trials of an undisturbed study."""
     folder = shutil.copytree(cheap.config.output, tmp_path / "data")
     places = [f"output='{folder}'", "tuning.storage=sqlite:///studies.db", "tuning.folder=best"]
     command = [*PYTHON, "-m", "pipeline", "stage=tune", *CHEAP, *places]
@@ -394,8 +394,4 @@ def test_the_command_line_goes_on_where_it_was_interrupted(
     assert re.search(rf"{TRIALS} trials in", out)
     assert "optuna-dashboard sqlite:///studies.db" in " ".join(out.split())
     assert finished(problem) == undisturbed()
-    report = {p.name: p.read_bytes() for p in (tmp_path / "best").iterdir() if p.is_file()}
-    assert {"best.yaml", "README.md", "summary.json", "trials.csv", "finalists.csv"} <= report.keys()
-    assert main(arguments) == 0
-    assert f"the study has its {TRIALS} trials" in capsys.readouterr().out
-    assert {p.name: p.read_bytes() for p in (tmp_path / "best").iterdir() if p.is_file()} == report
+    assert {"best.yaml", "README.md", "summary.json", "trials.csv", "finalists.csv"} <= names_in(tmp_path / "best")

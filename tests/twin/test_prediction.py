@@ -36,7 +36,6 @@ def runs_of(machine: Machine, *acting: Excitation, hidden: float = 0.0) -> Vibra
 def test_a_sum_of_runs_is_predicted_to_rounding(rotor_of: Machine) -> None:
     data = runs_of(rotor_of, FIRST, SECOND, *BOTH)
     summed = data.displacement @ find_shares(data, [0, 1], BOTH, data.speeds, False)
-    assert summed is not None
     assert error_percent(summed, data.displacement[..., 2]) < 1e-9
 
 
@@ -46,11 +45,9 @@ def test_a_residual_unbalance_needs_a_run_more(rotor_of: Machine) -> None:
     data = runs_of(rotor_of, FIRST, SECOND, *BOTH, found, hidden=5e-5)
     assert find_shares(data, [0, 1], BOTH, data.speeds, True) is None
     summed = data.displacement @ find_shares(data, [0, 1, 3], BOTH, data.speeds, True)
-    assert summed is not None
     assert error_percent(summed, data.displacement[..., 2]) < 1e-9
     less = subtract_baseline(data, "as_found")
     again = less.displacement @ find_shares(less, [0, 1], BOTH, less.speeds, False)
-    assert again is not None
     assert error_percent(again, less.displacement[..., 2]) < 1e-9
 
 
@@ -85,7 +82,6 @@ def test_the_model_and_its_rivals_beside_each_other(rotor_of: Machine) -> None:
         assert all(entry["model_error_percent"] < 0.1 for entry in judged.values())
     assert (said["inside"]["run second"], said["inside"]["run both"]) == (None, None)
     inside = said["inside"]["range of speeds, 3000 to 4000 rpm"]
-    assert inside is not None
     assert 0 < inside < 100
     assert said["at the end"] == dict.fromkeys(("run second", "run both", "range of speeds, 5600 to 6000 rpm"))
 
