@@ -52,7 +52,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
 
 
 def record(evidence: Evidence, mistakes: list[Mistake] | None = None) -> dict[str, Any]:
-    return judge(evidence, [], judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
+    return judge(evidence, [], judge_mistakes(mistakes or [], list(find_contradicted(evidence))))
 
 
 def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
