@@ -33,7 +33,6 @@ def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
     """Of two speeds: squares add up to those of the coefficients; the best is none larger, the least none smaller."""
     measurement = with_tolerances(small_machine(DIRECT, speeds=TWO)[0])
     found, start = combine(measurement, SETUP), prepare_output_error(measurement, SETUP)
-    assert found is not None
     sizes = np.abs(start.problem.unknowns(start.weights)[0][0, 0].numpy())
     each = start.problem.unknown_deviation(start.weights)[0, 0] / sizes
     covariance = invert(start.problem.normal(start.weights)[1][0, 0])
@@ -52,8 +51,6 @@ def test_the_next_run_leaves_what_it_promises() -> None:
     """The same run at the speed that was named besides, without noise in the readings: the same information."""
     measurement, _ = small_machine(DIRECT, (0.3, 0.3), TWO, noise=0.0)
     found = combine(replace(measurement, dataset=measurement.dataset.of_runs(np.array([0]))), SETUP)
-    assert found is not None
-    assert found.next_run is not None
     assert found.next_run.deviation < 0.8 * found.weakest.deviation
     more, _ = small_machine(DIRECT, (0.3, 0.3), np.sort([*TWO, found.next_run.speed]), noise=0.0)
     start = prepare_output_error(replace(more, dataset=more.dataset.of_runs(np.array([0]))), SETUP)
@@ -73,10 +70,6 @@ def test_a_run_is_tried_whatever_the_noise_of_the_others() -> None:
     found = combine(
         replace(one, drift=replace(levels, **dict.fromkeys(("counts", "weights"), np.ones(len(data.runs))))), SETUP
     )
-    assert plain is not None
-    assert found is not None
-    assert plain.next_run is not None
-    assert found.next_run is not None
     assert (found.next_run.run, found.next_run.speed) == (plain.next_run.run, plain.next_run.speed)
 
 

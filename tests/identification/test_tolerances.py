@@ -52,7 +52,6 @@ def test_each_kind_is_a_part_of_the_whole() -> None:
     """One kind alone is that of a machine where no other is uncertain."""
     measurement = tolerant()
     whole = fit(measurement, SETUP)
-    assert whole.uncertainty is not None
     assert whole.uncertainty.unfitted.names == list(USUAL)
     assert len(whole.uncertainty.unfitted.select("probe_gain").kinds) == len(measurement.dataset.channels)
     assert (
@@ -77,7 +76,6 @@ def test_wider_tolerances_move_in_proportion_where_the_readings_tell_nothing(sha
     parts = []
     for one in (tiny, replace(tiny, deviation=1e-5 * share)):
         found = fit(replace(measurement, tolerances=(one,)), SETUP)
-        assert found.uncertainty is not None
         covariance = found.uncertainty.unfitted.covariance()
         parts.append(found.uncertainty.deviation(SPEEDS, covariance=covariance)[:, 0, [0, 3]])
     np.testing.assert_allclose(parts[1], share * parts[0], rtol=1e-3)

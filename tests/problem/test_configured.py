@@ -69,7 +69,6 @@ def test_what_is_needed_and_missing_is_named(base: Config, mine: Path, run: Run)
 
 def test_the_bearings_give_nothing_of_what_is_identified(base: Config) -> None:
     found = load_known(base, "bearings", "data.known", (0, 2), SPEEDS)
-    assert found is not None
     assert not found.coefficient("kxx").any()
     assert not found.coefficient("kyy").any()
 

@@ -18,8 +18,6 @@ CASES = {name: case for group in ("chosen", "judged") for name, case in MACHINES
 def judge_module() -> ModuleType:
     """studies/verdicts/judge.py, which is no package."""
     place = importlib.util.spec_from_file_location("judge_verdicts", ROOT / "studies" / "verdicts" / "judge.py")
-    assert place is not None
-    assert place.loader is not None
     found = importlib.util.module_from_spec(place)
     place.loader.exec_module(found)
     return found
