@@ -162,8 +162,11 @@ def assess(
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
         # What a mode that the model lacks leaves over, other mistakes seem to explain in part.
         mistakes = [mistake for mistake in mistakes if not evidence.lacking or mistake.falls_by > clearly]
-    against = judge_whirl(measure_backward(data)) + judge_mistakes(mistakes, list(find_contradicted(evidence)))
-    against += judge_contradiction(find_contradiction(about, config.model.kind))
+    against = [
+        *judge_whirl(measure_backward(data)),
+        *judge_mistakes(mistakes, list(find_contradicted(evidence))),
+        *judge_contradiction(find_contradiction(about, config.model.kind)),
+    ]
     return judge(evidence, gains, against, _may_have_supports(config)), evidence
 
 
