@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +28,35 @@ from pipeline.problem.measurement import Measurement
 def dense_jacobian(problem: OutputError, weights: torch.Tensor) -> torch.Tensor:
     """(rows + N, Z) derivative of the rows of one state, as they order them: :meth:`normal` does without it."""
     return torch.cat([problem.columns(weights)[0, :, :-1], problem.prior.rows.reshape(-1, problem.places.size)])
+
+
+def assert_columns(problem: OutputError, weights: torch.Tensor, at_once: bool = True) -> None:
+    """The columns are those of automatic differentiation of the rows, all ``at_once`` where torch can do that."""
+    wanted = torch.autograd.functional.jacobian(lambda z: problem.rows(z)[0, 0], weights, vectorize=at_once)[:, 0, 0]
+    assert float((dense_jacobian(problem, weights) - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
+
+
+def assert_normal(problem: OutputError, weights: torch.Tensor) -> None:
+    """The normal equations are those of the columns, number by number; a step leaves what is not fitted."""
+    columns, rows = dense_jacobian(problem, weights), problem.rows(weights)[0, 0, :, None]
+    gradient, matrix = problem.normal(weights)
+    left = torch.diag((~problem.fitted()).to(columns.dtype))
+    for found, other, beside in ((matrix[0, 0], columns, left), (gradient[0, 0, :, None], rows, 0.0)):
+        size = columns.abs().T @ other.abs()
+        assert bool(((found - columns.T @ other - beside).abs() <= 1e-10 * size).all())
+
+
+def differences(evaluate: Callable[[Any], Any], at: np.ndarray, step: float) -> np.ndarray:
+    """(.., n) central differences of what is evaluated at numbers (n,), by each of them."""
+    moves = step * np.eye(len(at))
+    return np.stack([np.asarray(evaluate(at + move) - evaluate(at - move)) / (2 * step) for move in moves], axis=-1)
+
+
+def assert_slopes(slopes: Any, wanted: np.ndarray, share: float) -> None:
+    """Derivatives (.., n) by each number, within a ``share`` of the largest of its own."""
+    sizes = np.abs(wanted).reshape(-1, wanted.shape[-1]).max(axis=0)
+    off = np.abs(np.asarray(slopes) - wanted).reshape(-1, wanted.shape[-1]).max(axis=0)
+    assert (off <= share * sizes).all(), np.flatnonzero(off > share * sizes)
 
 
 def optimizer(

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.identification.blocks import Basis, Prior
-from pipeline.identification.identified import Fit, PhysicalNumber
+from pipeline.identification.identified import Fit
 from pipeline.identification.output_error_fit import OutputErrorFit
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.quality import output_error_quality
 from pipeline.identification.uncertainty import Uncertainty, measure_uncertainty
 from pipeline.parameters.kind import ModelParameter
 from pipeline.parameters.model import set_values
+from pipeline.problem.law_information import LawInformation
 from pipeline.problem.measurement import Measurement
 from pipeline.problem.slopes import deviate
 
@@ -27,7 +27,7 @@ def conclude(fit: OutputErrorFit) -> Fit:
     """The model, how well it explains the readings, and how well everything in it is known."""
     quality = output_error_quality(fit)
     uncertainty = measure_uncertainty(fit, quality)
-    numbers, parameters = _list_numbers(fit, uncertainty), _list_parameters(fit, uncertainty)
+    parameters = _list_parameters(fit, uncertainty)
     summary: dict[str, Any] = dict(quality.summary)
     if fit.start.starts[0]:
         summary["fit"] |= {"starts": dict(zip(("fitted", "at_this_answer"), fit.start.starts, strict=True))}
@@ -39,8 +39,8 @@ def conclude(fit: OutputErrorFit) -> Fit:
                 for several, share in kinds.items()
             ]
         }
-    if numbers:
-        summary |= _describe_laws(fit, numbers)
+    if uncertainty.places.n_numbers:
+        summary |= _describe_laws(fit, uncertainty)
     if parameters:
         summary["model_parameters"] = {
             parameter.name: {
@@ -61,7 +61,6 @@ def conclude(fit: OutputErrorFit) -> Fit:
         history=fit.minimum.history,
         uncertainty=uncertainty,
         quality=replace(quality, summary=summary),
-        numbers=numbers,
         parameters=parameters,
     )
 
@@ -92,19 +91,6 @@ def restore(measurement: Measurement, uncertainty: Uncertainty) -> tuple[OutputE
     return problem, weights
 
 
-def _list_numbers(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[PhysicalNumber, ...]:
-    """The numbers of the bearing laws."""
-    laws = fit.problem.measurement.laws
-    spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.numbers])
-    values = laws.numbers(fit.problem.theta(fit.weights)[0].numpy())
-    return tuple(
-        PhysicalNumber(
-            parameter.name, float(value), float(value * share), parameter.unit, parameter.guess, parameter.within
-        )
-        for parameter, value, share in zip(laws.parameters, values, spread, strict=True)
-    )
-
-
 def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[ModelParameter, ...]:
     """T, each with its posterior."""
     spread = np.sqrt(np.diag(uncertainty.covariance)[uncertainty.places.parameters])
@@ -112,7 +98,7 @@ def _list_parameters(fit: OutputErrorFit, uncertainty: Uncertainty) -> tuple[Mod
     return tuple(replace(parameter, left=float(after)) for parameter, after in zip(fitted, spread, strict=True))
 
 
-def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> dict[str, Any]:
+def _describe_laws(fit: OutputErrorFit, uncertainty: Uncertainty) -> dict[str, Any]:
     """Parts of ``metrics.json`` and ``training.json``; SI.
 
     ``physical_numbers`` by name; ``law`` says the share of points beyond the table of each bearing; ``correction`` the
@@ -120,18 +106,20 @@ def _describe_laws(fit: OutputErrorFit, numbers: Sequence[PhysicalNumber]) -> di
     coefficient (of a cross-coupled one, of the size of the direct ones).
     """
     problem, laws = fit.problem, fit.problem.measurement.laws
-    data, theta = problem.measurement.dataset, problem.theta(fit.weights)
+    data, theta, numbers = problem.measurement.dataset, problem.theta(fit.weights), uncertainty.places.numbers
     outside = laws.outside(theta, data.speeds, data.operating)[0]
+    told = LawInformation(laws.parameters, uncertainty.covariance[numbers, numbers])
+    values = laws.numbers(theta[0].numpy())
     summary: dict[str, Any] = {
         "physical_numbers": {
             number.name: {
-                "value": number.value,
-                "deviation": number.deviation,
+                "value": float(values[i]),
+                "deviation": float(values[i] * told.deviation[i]),
                 "unit": number.unit,
                 "guess": number.guess,
-                "determined": number.determined,
+                "determined": bool(told.determined[i]),
             }
-            for number in numbers
+            for i, number in enumerate(laws.parameters)
         },
         "law": {"outside_table": {str(node): float(share) for node, share in zip(laws.nodes, outside, strict=True)}},
     }

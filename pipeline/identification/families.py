@@ -125,11 +125,19 @@ class Whitened(LeastSquares):
 
     problem: OutputError  # without a prior of functions
     choices: Choices
+    asked: torch.Tensor | float = 0.0  # (1, 1, Y') the middle of the priors
 
     @property
     def size(self) -> int:
         """Y'."""
         return int(self.choices.root.shape[-1]) + self.problem.places.n_rest
+
+    @property
+    def middle(self) -> torch.Tensor:
+        """(.., Y') the numbers that the priors ask for."""
+        import torch
+
+        return torch.zeros(self.size, dtype=torch.float64) + self.asked
 
     def carry(self, by_weights: torch.Tensor) -> torch.Tensor:
         """Derivatives (G, .., Z) by the weights as those (G, .., Y') by the numbers."""
@@ -149,7 +157,11 @@ class Whitened(LeastSquares):
         """(G, 1, rows), the numbers of the choices last."""
         import torch
 
-        return torch.cat([self.problem.rows(self.weights(y)), y[..., : self.choices.root.shape[-1]]], dim=-1)
+        rows, count, middle = self.problem.rows(self.weights(y)), self.choices.root.shape[-1], self.middle
+        end = rows.shape[-1] - len(self.problem.prior) + self.problem.places.size  # of the parameters' priors
+        parameters = self.problem.places.n_parameters
+        rows[..., end - parameters : end] -= middle[..., self.size - parameters :]
+        return torch.cat([rows, (y - middle)[..., :count]], dim=-1)
 
     def normal(self, y: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient (G, 1, Y') and information (G, 1, Y', Y')."""
@@ -157,7 +169,8 @@ class Whitened(LeastSquares):
 
         gradient, matrix = self.problem.normal(self.weights(y))
         prior = (torch.arange(self.size) < self.choices.root.shape[-1]).to(y.dtype)  # one for numbers of the choices
-        return self.carry(gradient) + prior * y, self.carry(self.carry(matrix[:, 0]).mT)[:, None] + torch.diag(prior)
+        information = self.carry(self.carry(matrix[:, 0]).mT)[:, None] + torch.diag(prior)
+        return self.carry(gradient) + prior * y - self.middle, information
 
     def level(self, squared: torch.Tensor, /) -> torch.Tensor:
         """(G, 1) root of the mean square of all rows."""
@@ -199,10 +212,6 @@ class Whitened(LeastSquares):
         asked[..., count : self.size - parameters] = 0.0
         return asked
 
-    def ask(self, asked: torch.Tensor) -> Whitened:
-        """The same with priors that ask for these numbers (1, 1, Y')."""
-        return Moved(problem=self.problem, choices=self.choices, asked=asked)
-
     def evidence(self, y: torch.Tensor, counted: float = 0.5) -> torch.Tensor:
         """(G,) logarithm of the evidence about minima, up to a constant; minus infinity where there is none.
 
@@ -213,23 +222,3 @@ class Whitened(LeastSquares):
 
         evidence: torch.Tensor = -self.rows(y).square().sum(-1)[:, 0] / 2 - counted * self.volume(y)
         return evidence.nan_to_num(-float("inf"), neginf=-float("inf"))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Moved(Whitened):
-    """The same with priors whose middle is elsewhere."""
-
-    asked: torch.Tensor  # (1, 1, Y')
-
-    def rows(self, y: torch.Tensor, /) -> torch.Tensor:
-        """(G, 1, rows), the numbers of the choices last."""
-        rows, count, parameters = super().rows(y), self.choices.root.shape[-1], self.problem.places.n_parameters
-        end = rows.shape[-1] - count - len(self.problem.prior) + self.problem.places.size  # of the parameters' priors
-        rows[..., end - parameters : end] -= self.asked[..., self.size - parameters :]
-        rows[..., rows.shape[-1] - count :] -= self.asked[..., :count]
-        return rows
-
-    def normal(self, y: torch.Tensor, /) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient (G, 1, Y') and information (G, 1, Y', Y')."""
-        gradient, information = super().normal(y)
-        return gradient - self.asked, information

@@ -20,9 +20,11 @@ def held_out_points(speeds: np.ndarray, operating: Mapping[str, np.ndarray], tra
 
     ``speeds`` (S,) rad/s; ``operating`` has (S,) values in SI by name. Raises ConfigError as the functions below.
     """
-    single = held_out_speeds(len(speeds), training.holdout_every)
-    mask = single | held_out_range(speeds, training)
-    return np.asarray(mask | held_out_conditions(operating, training, len(speeds)))
+    return np.asarray(
+        held_out_speeds(len(speeds), training.holdout_every)
+        | held_out_range(speeds, training)
+        | held_out_conditions(operating, training, len(speeds))
+    )
 
 
 def held_out_speeds(count: int, every: int) -> np.ndarray:

@@ -70,28 +70,6 @@ class IdentifiedModel:
         return known.with_unknowns(self.unknowns, self.values(known.speeds, known.operating))
 
 
-@dataclass(frozen=True)
-class PhysicalNumber:
-    """A number that bearing laws are made of, after the fit."""
-
-    name: str  # such as oil.viscosity, 8.radial_clearance
-    value: float
-    deviation: float  # standard, of the value
-    unit: str  # SI
-    guess: float
-    within: float  # the factor that was one standard deviation before the fit
-
-    @property
-    def share(self) -> float:
-        """Standard deviation of the logarithm."""
-        return self.deviation / self.value
-
-    @property
-    def determined(self) -> bool:
-        """Whether the data tell it: half of what was known before, or less, is left open."""
-        return self.share < 0.5 * float(np.log(self.within))
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """The answer of a fit, of whatever loss."""
@@ -105,7 +83,6 @@ class Fit:
     history: tuple[Mapping[str, float | str], ...]
     uncertainty: Uncertainty | None  # None for a loss that states no deviations
     quality: Quality
-    numbers: tuple[PhysicalNumber, ...] = ()  # of the bearing laws
     parameters: tuple[ModelParameter, ...] = ()  # uncertain ones of the model, at their fitted values
 
     def table(self, known: BearingTable) -> BearingTable:

@@ -37,7 +37,6 @@ from pipeline.identification.blocks import (
     LawTerm,
     Places,
     Prior,
-    carry_covariance,
     law_term,
     select_active,
     slopes_by_weights,
@@ -359,10 +358,8 @@ class OutputError(LeastSquares):
 
     def unknown_deviation(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A) standard deviation of the active unknowns, N/m and N s/m, by :meth:`covariance`."""
-        count, carrier = self.places.numbers.stop, self._carrier.numpy()
-        slopes = np.concatenate(self.unknowns(weights)[1:], axis=-1)  # (G, S, A, A + Th)
-        spread = np.stack([carry_covariance(each[:count, :count], carrier) for each in self.covariance(weights)])
-        return deviate(slopes, spread)
+        count = self.places.numbers.stop
+        return deviate(self.unknown_slopes(weights), self.covariance(weights)[:, None, :count, :count])
 
     def unknown_slopes(self, weights: torch.Tensor) -> np.ndarray:
         """(G, S, A, A K + Th) derivative of the active unknowns by the weights of features and the numbers of laws."""

@@ -362,11 +362,11 @@ class SensorModel:
             unbalance: (G, N) complex, kg m.
             parameters: (G, T) in prior deviations.
         """
-        every = [
-            [respond(p.block, p.change, unbalance, False).sensors for p in self._place(b, values, parameters, False)]
-            for b in range(len(self.blocks))
+        every = [self._place(b, values, parameters, False) for b in range(len(self.blocks))]
+        return [
+            self._join(b, [respond(placed.block, placed.change, unbalance, False).sensors for placed in groups])
+            for b, groups in enumerate(every)
         ]
-        return [self._join(b, groups) for b, groups in enumerate(every)]
 
     def _join(self, b: int, groups: Sequence[torch.Tensor]) -> torch.Tensor:
         """(G, S, P, R, ..) of block b, from the same of its groups, without the baseline that is taken off."""
@@ -385,7 +385,7 @@ class SensorModel:
         unbalance: torch.Tensor,
         parameters: torch.Tensor,
         slopes: torch.Tensor | None = None,
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    ) -> tuple[torch.Tensor, ...]:
         """Readings of block b, and their derivatives (G, S, P, R, ..) by what :meth:`predict` takes: A unknowns, or n
         numbers by which these have ``slopes`` (G, S, A, n); N planes (by 1 kg m); T model parameters.
         """
@@ -393,8 +393,7 @@ class SensorModel:
         influence = self._influence.expand(*known.shape[:3], -1)
         moves = influence if slopes is None else self._influence @ slopes  # (G, S, 8 B, n)
         every = [self._derive(placed, unbalance, moves, known) for placed in self._place(b, values, parameters)]
-        readings, by_numbers, by_planes, by_parameters = (self._join(b, groups) for groups in zip(*every, strict=True))
-        return readings, by_numbers, by_planes, by_parameters
+        return tuple(self._join(b, groups) for groups in zip(*every, strict=True))
 
     def _derive(
         self, placed: _Placed, unbalance: torch.Tensor, moves: torch.Tensor, known: torch.Tensor

@@ -155,7 +155,7 @@ def find_middle(
     height = -float(whitened.evidence(y, counted=1.0))
     for _ in range(turns):
         tried = asked + share * (whitened.balance(y) - asked)
-        ahead = whitened.ask(tried).minimise(y, 1e-6, steps=40)
+        ahead = replace(whitened, asked=tried).minimise(y, 1e-6, steps=40)
         fallen = height + float(whitened.evidence(ahead, counted=1.0))
         if fallen > 0:
             asked, y, height, share = tried, ahead, height - fallen, min(1.5 * share, usual)

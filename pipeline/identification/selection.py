@@ -147,18 +147,16 @@ def add_beyond(basis: Basis) -> Basis:
 
 def unit_precision(problem: OutputError) -> torch.Tensor:
     """(A, K) precisions of the weights for a sigma of one."""
-    to_features, free = problem.basis.weights[[m for m, _ in problem.active]], problem.basis.n_trend  # (A, F, K)
-    share = (
-        to_features.square().sum(1).reciprocal()
-    )  # squared size of a feature over the data, for weights of equal variance
-    share[:, :free] = 0.0
-    if problem.basis.model.fades:
-        share[:, -1] = 0.0
+    import torch
+
+    basis, place = problem.basis, torch.arange(problem.basis.n_features)
+    beyond = (place == len(place) - 1) & basis.model.fades
+    sized = (place >= basis.n_trend) & ~beyond
+    squares = basis.weights[[m for m, _ in problem.active]].square().sum(1)  # (A, K)
+    # The squared size of a feature over the data, for weights of equal variance.
+    share = torch.where(sized, squares.reciprocal(), 0.0)
     precision = share.sum(1, keepdim=True) / (share * problem.features.shape[1])
-    precision[:, :free] = 0.0
-    if problem.basis.model.fades:
-        precision[:, -1] = 1.0
-    return precision
+    return torch.where(sized, precision, beyond.to(precision.dtype))
 
 
 def with_sigma(problem: OutputError, sigma: np.ndarray | float = 0.1) -> OutputError:

@@ -52,12 +52,11 @@ class Sense:
     @property
     def words(self) -> str:
         """In words."""
-        parts = [
-            f"phases {'conjugated' if self.lag else 'as written'}",
-            f"angles of weights {'negated' if self.against else 'as written'}",
-            f"rotation {'from y to x' if self.mirrored else 'as written'}",
-        ]
-        return ", ".join(parts)
+        return (
+            f"phases {'conjugated' if self.lag else 'as written'}, "
+            f"angles of weights {'negated' if self.against else 'as written'}, "
+            f"rotation {'from y to x' if self.mirrored else 'as written'}"
+        )
 
     def read(self, measurement: Measurement) -> Measurement:
         """The measurement as this sense has it; the frame always turns from x to y."""

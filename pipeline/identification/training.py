@@ -192,13 +192,6 @@ class _Monitor:
             self.watch(parameters.cpu(), self.best.cpu(), self.phase, self.step - self.phase_start + 1, self.total)
 
 
-_MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
-    "adam": optimizers.adam,
-    "lbfgs": optimizers.lbfgs,
-    "levenberg_marquardt": optimizers.levenberg_marquardt,
-}
-
-
 def minimise(
     problem: LeastSquares,
     parameters: torch.Tensor,
@@ -256,7 +249,7 @@ def _minimise(
         for name in ("levenberg_marquardt",) if together else phases(setup.optimizer):
             section = getattr(setup.optimizer, name)
             monitor.begin("trained" if together else name, section.steps, section.patience)
-            parameters = _MINIMISERS[name](problem, parameters, section, monitor)
+            parameters = getattr(optimizers, name)(problem, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
     return Minimum(

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.data.conditions import Conditions
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.data.sensors import NoiseModel
-from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, levels_of, shrink, student_weights
+from pipeline.problem.noise_levels import NoiseLevels, estimate_noise_levels, levels_of, student_weights
 
 NAMED = 0.3
 """A condition whose weight is below this is named: of conditions that belong together, one in a thousand."""
@@ -31,8 +31,7 @@ def follow_residuals(noise: NoiseLevels, residual: np.ndarray, numbers: float, r
     left = len(residual) - numbers / (2 * residual.shape[1])
     weights = noise.weights
     for _ in range(rounds):
-        scatter = shrink((residual.T * weights) @ residual.conj() / left, left)
-        weights = student_weights(residual * np.sqrt(len(residual) / left), scatter)
+        weights = student_weights(residual, weights, left)
     levels = levels_of(residual, weights, left, noise.record, noise.counts)
     return replace(levels, counts=noise.counts, weights=weights)
 

@@ -105,12 +105,9 @@ def _judge(
     if constant and not somewhere:  # all speeds together tell unknowns that are the same at every speed
         every = (matrix / np.abs(matrix).max(axis=(1, 2), keepdims=True)).reshape(-1, matrix.shape[-1])
         somewhere = np.linalg.matrix_rank(unit_columns(every), tol=DEPENDENT) == len(names)
-    ranks, conditions = [], []  # of the orbits (x, y) of the runs, each of unit size; the best bearing's counts
-    for b in bearings:
-        orbits, _ = decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))
-        ranks.append(count_determined(orbits))
-        conditions.append(condition_number(orbits))
-    orbit_rank, orbit_condition = np.max(ranks, axis=0), np.min(conditions, axis=0)
+    # Of the orbits (x, y) of the runs, each of unit size; the best bearing's counts.
+    orbits = [decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))[0] for b in bearings]
+    orbit_rank = np.max([count_determined(each) for each in orbits], axis=0)
     alone, never = f"the runs do not determine {', '.join(names)}", _reason(names, rank, orbit_rank, equations)
     verdict, reason = judge_rank(rank, len(names), bool(somewhere), alone, never)
     return Identifiability(
@@ -122,7 +119,7 @@ def _judge(
         verdict=verdict,
         reason=reason,
         orbit_rank=orbit_rank,
-        orbit_condition=orbit_condition,
+        orbit_condition=np.min([condition_number(each) for each in orbits], axis=0),
     )
 
 

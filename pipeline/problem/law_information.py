@@ -1,4 +1,4 @@
-"""What data determine of the physical numbers of bearing laws, before any fit: Cramer-Rao at the guesses.
+"""What data determine of the physical numbers of bearing laws; before any fit: Cramer-Rao at the guesses.
 
 Each reading tells of the numbers by its derivative over its noise; residual unbalance and uncertain numbers of the
 model are sought beside them. Numbers that only a product of shows, such as viscosity over load, stay at their priors,

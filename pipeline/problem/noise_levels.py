@@ -173,18 +173,20 @@ def robust_weights(vectors: np.ndarray, design: np.ndarray, steps: int = 200, to
     left = len(design) - np.linalg.matrix_rank(design)
     for _ in range(steps):
         residual = vectors - design @ solve_weighted(vectors, design, weights)
-        scatter = shrink((residual.T * weights) @ residual.conj() / left, float(left))
-        weights = student_weights(residual * np.sqrt(len(design) / left), scatter)
+        weights = student_weights(residual, weights, float(left))
         if abs(weights - previous).max() < tolerance:
             break
         previous = weights
     return weights
 
 
-def student_weights(residual: np.ndarray, scatter: np.ndarray) -> np.ndarray:
-    """(C,) weights of residuals (C, D) about a scatter matrix of the Student t, (D, D)."""
-    size = residual.shape[1]
-    distance = np.einsum("ci,ic->c", residual.conj(), np.linalg.solve(scatter, residual.T)).real
+def student_weights(residual: np.ndarray, weights: np.ndarray, left: float) -> np.ndarray:
+    """(C,) weights of residuals (C, D), which have ``left`` degrees of freedom, about the scatter matrix of the Student
+    t that they have with the ``weights`` (C,) before.
+    """
+    scatter = shrink((residual.T * weights) @ residual.conj() / left, left)
+    apart, size = residual * np.sqrt(len(residual) / left), residual.shape[1]
+    distance = np.einsum("ci,ic->c", apart.conj(), np.linalg.solve(scatter, apart.T)).real
     return np.asarray((TAIL + 2 * size) / (TAIL + 2 * distance))
 
 

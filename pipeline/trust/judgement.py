@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,54 +51,50 @@ AS_FELT = "the bearings as the shaft feels them (film and support)"
 NO_RUN = "No single further run helps much: use larger weights, more speeds, or probes elsewhere."
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """Verdicts on the coefficients, and what speaks against all of them."""
+def _record(
+    nodes: Sequence[int],
+    verdicts: Sequence[CoefficientVerdict],
+    common: Sequence[Reason],
+    as_felt: bool,
+    rejected: bool = False,
+    held_out: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The Judgement for JSON: ``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null.
 
-    nodes: tuple[int, ...]  # of the bearings
-    verdicts: tuple[CoefficientVerdict, ...]
-    common: tuple[Reason, ...] = ()
-    held_out: tuple[str, ...] = ()  # how readings that the fit did not see are predicted, in words
-    as_felt: bool = False  # a support may be part of the coefficients
-    rejected: bool = False  # readings speak against the model, whatever they determine
+    Where no coefficient can be used the machine has a reservation, which is said beside everything that follows.
 
-    @property
-    def verdict(self) -> Verdict:
-        """On the whole."""
-        return _join(self.verdicts)
-
-    @property
-    def reservation(self) -> str:
-        """What is said beside everything that follows from a rejected model; empty for others."""
-        if self.verdict is not Verdict.NO:
-            return ""
-        why = gravest([*self.common, *(reason for judged in self.verdicts for reason in judged.reasons)])
-        held_out = f" ({'; '.join(self.held_out)})" if self.held_out else ""
-        what = "THE MODEL IS REJECTED" if self.rejected else "NO COEFFICIENT CAN BE USED"
-        return f"{what}, claim nothing from this{held_out}: {why[0].sentence if why else ''}"
-
-    def record(self) -> dict[str, Any]:
-        """For JSON: ``verdicts``, ``bearings`` and ``machine``; numbers that are not finite are null."""
-        return {
-            "verdicts": [
-                {
-                    "bearing": judged.bearing,
-                    "node": judged.node,
-                    "coefficient": judged.coefficient,
-                    "verdict": judged.verdict.value,
-                    "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
-                    "next": judged.next,
-                    "checks": json.loads(json.dumps(judged.checks, default=float), parse_constant=lambda _: None),
-                }
-                for judged in self.verdicts
-            ],
-            "bearings": [
-                {"node": node} | _sum_up([judged for judged in self.verdicts if judged.node == node])
-                for node in self.nodes
-            ],
-            "machine": _sum_up(self.verdicts, self.common)
-            | {"reservation": self.reservation, "identified": AS_FELT if self.as_felt else "the bearings"},
-        }
+    Args:
+        nodes: of the bearings.
+        common: what speaks against all coefficients.
+        as_felt: whether a support may be part of the coefficients.
+        rejected: whether readings speak against the model, whatever they determine.
+        held_out: how readings that the fit did not see are predicted, in words.
+    """
+    reservation = ""
+    if _join(verdicts) is Verdict.NO:
+        why = gravest([*common, *(reason for judged in verdicts for reason in judged.reasons)])
+        unseen = f" ({'; '.join(held_out)})" if held_out else ""
+        what = "THE MODEL IS REJECTED" if rejected else "NO COEFFICIENT CAN BE USED"
+        reservation = f"{what}, claim nothing from this{unseen}: {why[0].sentence if why else ''}"
+    return {
+        "verdicts": [
+            {
+                "bearing": judged.bearing,
+                "node": judged.node,
+                "coefficient": judged.coefficient,
+                "verdict": judged.verdict.value,
+                "reasons": [reason.sentence for reason in judged.reasons] or [judged.praise],
+                "next": judged.next,
+                "checks": json.loads(json.dumps(judged.checks, default=float), parse_constant=lambda _: None),
+            }
+            for judged in verdicts
+        ],
+        "bearings": [
+            {"node": node} | _sum_up([judged for judged in verdicts if judged.node == node]) for node in nodes
+        ],
+        "machine": _sum_up(verdicts, common)
+        | {"reservation": reservation, "identified": AS_FELT if as_felt else "the bearings"},
+    }
 
 
 def judge_answer(config: Config, answer: Answer, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,7 +109,7 @@ def judge_answer(config: Config, answer: Answer, about: Mapping[str, Any]) -> di
         verdicts = [
             CoefficientVerdict(b + 1, node, name, (reason,)) for b, node in enumerate(nodes) for name in answer.names[b]
         ]
-        judged = Judgement(nodes, tuple(verdicts), (reason,), as_felt=_may_have_supports(config)).record()
+        judged = _record(nodes, verdicts, [reason], _may_have_supports(config))
     else:
         judged = assess(config, answer, about)[0]
     supports = describe_supports(about.get("model_parameters", {}))
@@ -166,9 +162,12 @@ def assess(
         mistakes = find_mistakes(updated.as_stated(), values, config.model.kind == "constant", probes)
         # What a mode that the model lacks leaves over, other mistakes seem to explain in part.
         mistakes = [mistake for mistake in mistakes if not evidence.lacking or mistake.falls_by > clearly]
-    against = judge_whirl(measure_backward(data)) + judge_mistakes(mistakes, list(find_contradicted(evidence)))
-    against += judge_contradiction(find_contradiction(about, config.model.kind))
-    return judge(evidence, gains, against, _may_have_supports(config)).record(), evidence
+    against = [
+        *judge_whirl(measure_backward(data)),
+        *judge_mistakes(mistakes, list(find_contradicted(evidence))),
+        *judge_contradiction(find_contradiction(about, config.model.kind)),
+    ]
+    return judge(evidence, gains, against, _may_have_supports(config)), evidence
 
 
 def judge(
@@ -177,8 +176,8 @@ def judge(
     mistakes: Sequence[Reason] = (),
     as_felt: bool = False,
     unexplained: float = 4.0,
-) -> Judgement:
-    """The Judgement of a fit that states deviations.
+) -> dict[str, Any]:
+    """The record of the Judgement of a fit that states deviations.
 
     Args:
         gains: what candidate runs would add.
@@ -215,7 +214,7 @@ def judge(
     held_out = tuple(describe_held_out(kind, entry) for kind, entry in unseen.items())
     off = [entry["mean_square_over_noise"] or np.inf for entry in unseen.values()]
     rejected = not evidence.misfit.explained() or max(off, default=0.0) > unexplained
-    return Judgement(nodes, tuple(verdicts), tuple(common), held_out, as_felt, rejected)
+    return _record(nodes, verdicts, common, as_felt, rejected, held_out)
 
 
 def _add_step(reason: Reason, gains: Gains, b: int, c: int, node: int, worth: float = 1.3) -> Reason:

@@ -9,7 +9,7 @@ Legend: S speeds, B bearings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -103,24 +103,21 @@ def judge_mistakes(mistakes: Sequence[Mistake], contradicted: Sequence[str] = ()
     ]
 
 
-def judge_whirl(backward: Mapping[str, float], most: float = 0.75) -> list[Reason]:
+def judge_whirl(backward: Mapping[str, float], most: float = 0.75) -> Iterator[Reason]:
     """Unbalance runs whose orbits turn ``backward`` (run -> share of speeds and nodes) in the mean of all of them.
 
     Eight coefficients at each speed follow mirrored readings, too. Of 110 drawn machines, between whose critical speeds
     orbits turn backward, the largest mean share is a half.
     """
     share = float(np.mean([*backward.values()])) if backward else 0.0
-    if share <= most:
-        return []
-    return [
-        Reason(
+    if share > most:
+        yield Reason(
             Verdict.WITH_CARE,
             f"The orbits of unbalance runs turn backward at {100 * share:.0f} % of speeds and nodes, and an unbalance "
             "turns the shaft forward, except between two critical speeds.",
             "Check the sense of the phases (lag or lead), that of the rotation and the probes' angles; correct it and "
             "identify again.",
         )
-    ]
 
 
 MODEL_MAY = (
@@ -139,55 +136,45 @@ def find_contradicted(evidence: Evidence, by: str = "superposed", most: float = 
     return {run: size for run, size in every if size > most * max(1.0, evidence.misfit.size)}
 
 
-def judge_lacking(evidence: Evidence) -> list[Reason]:
+def judge_lacking(evidence: Evidence) -> Iterator[Reason]:
     """A mode that the readings show and the model lacks."""
-    if not evidence.lacking:
-        return []
-    frequency, probes = evidence.lacking
-    return [
-        Reason(
+    if evidence.lacking:
+        frequency, probes = evidence.lacking
+        yield Reason(
             Verdict.NO if evidence.misfit.is_gross() else Verdict.WITH_CARE,
             f"The readings show a mode at {write_number(frequency / (2 * np.pi), digits=2)} Hz in {probes} that the "
             "model lacks.",
             "Look for what has that natural frequency (a support, a base, a coupling), and state it: rotor.supports or "
             "rotor.base in the machine file; or leave out the speeds about it.",
         )
-    ]
 
 
-def judge_machine(evidence: Evidence) -> list[Reason]:
+def judge_machine(evidence: Evidence) -> Iterator[Reason]:
     """What speaks against all coefficients together."""
-    reasons = []
     if evidence.outcome != "converged":
-        reasons.append(
-            Reason(
-                Verdict.NO if evidence.outcome == "diverged" else Verdict.WITH_CARE,
-                f"The fit has not reached its minimum: {evidence.outcome.replace('_', ' ')}.",
-                "Train again with more steps (optimizer.levenberg_marquardt.steps=1000).",
-            )
+        yield Reason(
+            Verdict.NO if evidence.outcome == "diverged" else Verdict.WITH_CARE,
+            f"The fit has not reached its minimum: {evidence.outcome.replace('_', ' ')}.",
+            "Train again with more steps (optimizer.levenberg_marquardt.steps=1000).",
         )
     starts = evidence.fit.get("starts", {"fitted": 0, "at_this_answer": 0})
     if starts["at_this_answer"] < 2 < starts["fitted"]:
-        reasons.append(
-            Reason(
-                Verdict.WITH_CARE,
-                f"{starts['at_this_answer'] or 'None'} of {starts['fitted']} starts ended at this answer: it may not "
-                "be the global minimum.",
-                "Train from other starts (model.initial_stiffness, seed), and see whether the answer stays.",
-            )
+        yield Reason(
+            Verdict.WITH_CARE,
+            f"{starts['at_this_answer'] or 'None'} of {starts['fitted']} starts ended at this answer: it may not "
+            "be the global minimum.",
+            "Train from other starts (model.initial_stiffness, seed), and see whether the answer stays.",
         )
     largest, deviation, unstable_rpm = evidence.growth
     if unstable_rpm is not None:
-        reasons.append(
-            Reason(
-                Verdict.WITH_CARE,
-                f"The identified machine is unstable from {unstable_rpm:.0f} rpm (growth "
-                f"{write_number(largest, deviation)} 1/s), where a steady vibration cannot be measured.",
-                "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
-            )
+        yield Reason(
+            Verdict.WITH_CARE,
+            f"The identified machine is unstable from {unstable_rpm:.0f} rpm (growth "
+            f"{write_number(largest, deviation)} 1/s), where a steady vibration cannot be measured.",
+            "Check that the machine ran there without subsynchronous vibration; leave out speeds where it did not.",
         )
-    reasons += judge_contradiction(evidence.misfit.contradiction, evidence.misfit.is_gross())
-    return [*reasons, *_judge_runs(evidence), *_judge_priors(evidence), *_judge_known(evidence)]
+    yield from judge_contradiction(evidence.misfit.contradiction, evidence.misfit.is_gross())
+    yield from (*_judge_runs(evidence), *_judge_priors(evidence), *_judge_known(evidence))
 
 
 def _judge_runs(evidence: Evidence) -> list[Reason]:

@@ -33,7 +33,6 @@ def test_the_directions_hold_the_deviations_of_each_coefficient() -> None:
     """Of two speeds: squares add up to those of the coefficients; the best is none larger, the least none smaller."""
     measurement = with_tolerances(small_machine(DIRECT, speeds=TWO)[0])
     found, start = combine(measurement, SETUP), prepare_output_error(measurement, SETUP)
-    assert found is not None
     sizes = np.abs(start.problem.unknowns(start.weights)[0][0, 0].numpy())
     each = start.problem.unknown_deviation(start.weights)[0, 0] / sizes
     covariance = invert(start.problem.normal(start.weights)[1][0, 0])

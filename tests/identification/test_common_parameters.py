@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from running import composed
-from small_rotor import DIRECT, FITTED, NOISE, small_machine
+from small_rotor import DIRECT, FITTED, NOISE, small_machine, with_weights
 
-from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import add_noise
 from pipeline.identification.answer import conclude
 from pipeline.identification.output_error_fit import fit_output_error
@@ -35,10 +34,7 @@ def test_a_fit_finds_what_all_weights_have_in_common_and_the_bow() -> None:
     """Weights of three sizes at two angles; the machine is off by a prior deviation and a half in each number."""
     measurement, bearings = small_machine(DIRECT)
     acting = [("a", 2e-4, 0.3), ("b", 5e-4, 2.0), ("c", 8e-4, 0.3), ("d", 3e-4, -2.0)]
-    runs = tuple(run for run, _, _ in acting)
-    weights = tuple(Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting)
-    shape = (*measurement.dataset.displacement.shape[:2], len(runs))
-    data = replace(measurement.dataset, runs=runs, excitations=weights, displacement=np.ones(shape, dtype=complex))
+    data = with_weights(measurement.dataset, *acting)
     deviations = {"weight_angle": 0.05, "weight_law": 100.0, "bow": 2e-6}
     parameters = (
         *model_parameters(deviations, measurement.rotor, data, bearings, measurement.unknowns),
@@ -47,7 +43,7 @@ def test_a_fit_finds_what_all_weights_have_in_common_and_the_bow() -> None:
     stated = replace(measurement, dataset=data, parameters=parameters)
     truth = 1.5 * (-1.0) ** (np.arange(len(parameters)) + 1)
     exact = replace(data, displacement=stated.update(truth).response.predict(bearings))
-    read = add_noise(exact, np.full(shape, NOISE), np.random.default_rng(3))
+    read = add_noise(exact, np.full(data.displacement.shape, NOISE), np.random.default_rng(3))
     found = fit_output_error(replace(stated, dataset=read), setup_of(composed(*FITTED)))
     for one, value in zip(conclude(found).parameters, truth, strict=True):
         assert abs(one.value - value) < 4 * one.left, one.name

@@ -57,7 +57,6 @@ def ready(experiment: str, folder: Path, *overrides: str) -> Ready:
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none", *overrides])
     measurement = load_measurement(config)
     modelled = load_modelled(config, measurement)
-    assert modelled is not None
     return Ready(config, measurement, modelled, setup_of(config))
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from running import composed
 from small_rig import SIZE, SmallRig, small_rig, with_noise
 from small_rotor import FITTED
-from training import dense_jacobian
+from training import assert_columns, assert_normal
 
 from pipeline.identification.answer import conclude
 from pipeline.identification.linear_start import start_at
@@ -48,37 +48,16 @@ def within() -> tuple[OutputError, torch.Tensor]:
     return problem_of(replace(measurement, guess=Guess(1e6, 1e3, 30.0)))
 
 
-def test_derivatives_of_the_rows_equal_differences(within: tuple[OutputError, torch.Tensor]) -> None:
-    """The problem is linear in its model parameters about where it was solved: all differences are central ones."""
-    problem, weights = within
-    slope, step = dense_jacobian(problem, weights), 1e-5
-    for z in range(problem.places.size):
-        ends = []
-        for sign in (1, -1):
-            moved = weights.clone()
-            moved[..., z] += sign * step
-            ends.append(problem.rows(moved)[0, 0])
-        differences = (ends[0] - ends[1]) / (2 * step)
-        assert (slope[:, z] - differences).abs().max() < 1e-5 * differences.abs().max(), z
-
-
-def compare_normal(problem: OutputError, weights: torch.Tensor, rtol: float) -> None:
-    """The normal equations with those of the Jacobian."""
-    slope, rows = dense_jacobian(problem, weights), problem.rows(weights)[0, 0]
-    gradient, matrix = problem.normal(weights)
-    assert torch.allclose(matrix[0, 0], slope.T @ slope, rtol=rtol)
-    assert torch.allclose(gradient[0, 0], slope.T @ rows, rtol=rtol)
-
-
-def test_the_normal_equations_are_those_of_the_jacobian(within: tuple[OutputError, torch.Tensor]) -> None:
-    compare_normal(*within, rtol=1e-10)
+def test_derivatives_and_normal_equations_are_those_of_the_rows(within: tuple[OutputError, torch.Tensor]) -> None:
+    assert_columns(*within, at_once=False)
+    assert_normal(*within)
 
 
 def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> None:
     """Summed speed by speed, and by the Jacobian."""
     measurement = with_noise(small_rig(np.random.default_rng(2), 4))
     problem, weights = problem_of(replace(measurement, drift=NO_LEVELS, guess=Guess(1e6, 1e3, 30.0)))
-    compare_normal(problem, weights, rtol=1e-9)
+    assert_normal(problem, weights)
     assert problem.rows(weights).shape[-1] - problem.places.size - problem.readings.size == len(problem.active)
 
 

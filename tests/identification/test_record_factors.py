@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from running import composed
-from small_rotor import FITTED, NOISE, small_machine
+from small_rotor import DIRECT, FITTED, NOISE, small_machine, with_weights
 
 from pipeline.config.runs import NoiseConfig
-from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise
 from pipeline.errors import ConfigError
@@ -23,22 +22,20 @@ from pipeline.problem.configured import build_measurement
 from pipeline.problem.measurement import Measurement
 from pipeline.rotor.bearing_table import BearingTable
 
-DIRECT, SHARED = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0), 0.2
+SHARED = 0.2
 
 
 def scattered(**deviations: float) -> tuple[Measurement, BearingTable]:
     """Four weights of two labels, one of which is 10 % and 6 degrees off; each record has a factor of its own."""
     measurement, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 40))
     acting = [("a", 2e-4, 0.3), ("b", 2e-4, 2.0), ("c", 8e-4, 0.3), ("d", 8e-4, -2.0)]
-    weights = tuple(Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting)
-    shape = (*measurement.dataset.displacement.shape[:2], len(acting))
-    data = replace(measurement.dataset, runs=tuple("abcd"), excitations=weights, displacement=np.ones(shape, complex))
+    data = with_weights(measurement.dataset, *acting)
     labels = model_parameters(
         {"label_gain": 0.1, "label_angle": 0.1}, measurement.rotor, data, bearings, measurement.unknowns
     )
     off = replace(measurement, dataset=data, parameters=labels).update(np.array([0.0, np.log(1.1) / 0.1, 0.0, 1.0]))
     read = off.response.predict(bearings) * (1 + SHARED * np.random.default_rng(8).standard_normal((40, 1, 4)))
-    read = add_noise(replace(data, displacement=read), np.full(shape, NOISE), np.random.default_rng(3))
+    read = add_noise(replace(data, displacement=read), np.full(read.shape, NOISE), np.random.default_rng(3))
     parameters = model_parameters(deviations, measurement.rotor, data, bearings, measurement.unknowns)
     noise = NoiseModel(NOISE, 0.0, record=SHARED)
     return replace(measurement, dataset=read, parameters=parameters, noise=noise), bearings

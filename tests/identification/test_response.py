@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import Machine, MachineFactory, bearings_of
-from training import assert_close, dense_jacobian
+from training import assert_close, assert_columns, assert_normal
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
@@ -50,6 +50,12 @@ def fit_of(machine: Machine, dataset: VibrationDataset, noise: float, *overrides
     return fit_output_error(measurement, setup_of(config))
 
 
+def unstated(machine: Machine, node: int, size: float, angle: float, *more: str) -> tuple[Excitation, ...]:
+    """A residual unbalance in every run with weights, and in ``more`` runs."""
+    runs = dict.fromkeys([*(e.run for e in machine.excitations), *more])
+    return tuple(Excitation(run, "unbalance", node, size, angle) for run in runs)
+
+
 @pytest.mark.parametrize("stiffness", [1e5, 2e7, 1e9])
 def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
     """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
@@ -60,16 +66,13 @@ def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: 
 
 def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
     """Runs of several frequencies; the residual unbalance acts in those that turn with the rotor alone."""
-    speeds = rotor_of.speeds
-    residual = 3e-5 * np.exp(0.7j)
-    given = (*rotor_of.excitations, BACKWARD)
-    turning = dict.fromkeys(e.run for e in rotor_of.excitations)
-    hidden = tuple(Excitation(run, "unbalance", 3, abs(residual), float(np.angle(residual))) for run in turning)
-    own = np.stack([*[speeds] * len(turning), np.full(len(speeds), 200.0)], axis=1)
+    speeds, given = rotor_of.speeds, (*rotor_of.excitations, BACKWARD)
+    hidden = unstated(rotor_of, 3, 3e-5, 0.7)
+    own = np.stack([*[speeds] * len(hidden), np.full(len(speeds), 200.0)], axis=1)
     complete = simulate(rotor_of.rotor, rotor_of.bearings, (*given, *hidden), own)
     equations = SolvedRotor(rotor_of.rotor, replace(complete, excitations=given), STIFFNESS, (3,)).response
     assert len(equations.blocks) == 2
-    predicted = equations.predict(rotor_of.bearings, np.array([residual]))
+    predicted = equations.predict(rotor_of.bearings, np.array([3e-5 * np.exp(0.7j)]))
     np.testing.assert_allclose(predicted, complete.displacement, rtol=1e-7, atol=1e-10 * np.abs(predicted).max())
 
 
@@ -103,24 +106,12 @@ def full_problem(rotor_of: Machine) -> OutputErrorFit:
 @pytest.mark.slow
 def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
     """Closed-form derivatives against torch's."""
-
-    problem = full_problem.problem
-    free = full_problem.weights + 0.01 * torch.randn(
-        full_problem.weights.shape, generator=torch.Generator().manual_seed(0)
-    )
-    wanted = torch.autograd.functional.jacobian(lambda z: problem.rows(z)[0, 0], free, vectorize=True)[:, 0, 0]
-    assert float((dense_jacobian(problem, free) - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
+    moved = torch.randn(full_problem.weights.shape, generator=torch.Generator().manual_seed(0))
+    assert_columns(full_problem.problem, full_problem.weights + 0.01 * moved)
 
 
 def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: OutputErrorFit) -> None:
-    problem, free = full_problem.problem, full_problem.weights
-    jacobian, rows = dense_jacobian(problem, free), problem.rows(free)[0, 0]
-    gradient, matrix = problem.normal(free)
-    wanted = jacobian.T @ jacobian
-    wanted.diagonal()[~problem.fitted()] = 1.0  # a step leaves what is not fitted
-    assert float((matrix[0, 0] - wanted).abs().max()) < 1e-10 * float(matrix.abs().max())
-    scale = float((jacobian.abs().T @ rows.abs()).max())
-    assert float((gradient[0, 0] - jacobian.T @ rows).abs().max()) < 1e-10 * scale
+    assert_normal(full_problem.problem, full_problem.weights)
 
 
 def mean_square(fit: OutputErrorFit) -> float:
@@ -143,9 +134,8 @@ def test_clean_data_give_the_modelled_coefficients(rotor_of: Machine) -> None:
 @pytest.mark.slow
 def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) -> None:
     """Of a third of the trial weights, at a disc; without the plane the coefficients are spoilt."""
-    runs = dict.fromkeys(e.run for e in rotor_of.excitations)
-    hidden = tuple(Excitation(run, "unbalance", 4, 3e-5, 1.0) for run in runs)
-    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
+    acting = (*rotor_of.excitations, *unstated(rotor_of, 4, 3e-5, 1.0))
+    complete = simulate(rotor_of.rotor, rotor_of.bearings, acting)
     sensors = Sensors(list_directions(rotor_of.rotor.bearing_nodes), NoiseModel(0.0, 1e-3))
     dataset = measure(replace(complete, excitations=rotor_of.excitations), sensors, np.random.default_rng(0))
     with_plane = fit_of(rotor_of, dataset, 1e-3, "identify.unbalance_planes=[4]")
@@ -155,13 +145,12 @@ def test_a_residual_unbalance_is_found_with_the_coefficients(rotor_of: Machine) 
 
 
 def test_a_baseline_cancels_the_residual_unbalance(rotor_of: Machine) -> None:
-    runs = tuple(dict.fromkeys(e.run for e in rotor_of.excitations))
-    hidden = tuple(Excitation(run, "unbalance", 2, 8e-5, 2.0) for run in (*runs, "as_found"))
-    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, *hidden))
+    acting = (*rotor_of.excitations, *unstated(rotor_of, 2, 8e-5, 2.0, "as_found"))
+    complete = simulate(rotor_of.rotor, rotor_of.bearings, acting)
     seen = project(replace(complete, excitations=rotor_of.excitations), list_directions((1, 5)))
     less = subtract_baseline(seen, "as_found")
     wanted = project(rotor_of.dataset, list_directions((1, 5)))
-    assert less.runs == runs
+    assert less.runs == rotor_of.dataset.runs
     size = np.abs(seen.displacement).max()
     np.testing.assert_allclose(less.displacement, wanted.displacement, rtol=0, atol=1e-9 * size)
     assert worst(rotor_of, fit_of(rotor_of, less, 1e-6)) < 7e-6
@@ -217,9 +206,9 @@ def test_the_noise_is_estimated_channel_by_channel(rotor_of: Machine) -> None:
 @pytest.mark.slow
 def test_the_noise_is_estimated_from_repeated_runs_whatever_the_model(rotor_of: Machine) -> None:
     """Stated at 1 %, it is 2 %; a residual unbalance that the model lacks is no noise, and shows as chi-square."""
-    runs = dict.fromkeys(e.run for e in rotor_of.excitations)
-    every = (*rotor_of.excitations, *tuple(replace(e, run=f"{e.run}_again") for e in rotor_of.excitations))
-    hidden = tuple(Excitation(run, "unbalance", 2, 3e-5, 2.0) for run in (*runs, *(f"{run}_again" for run in runs)))
+    again = tuple(replace(e, run=f"{e.run}_again") for e in rotor_of.excitations)
+    every = (*rotor_of.excitations, *again)
+    hidden = unstated(rotor_of, 2, 3e-5, 2.0, *(e.run for e in again))
     clean = replace(simulate(rotor_of.rotor, rotor_of.bearings, (*every, *hidden)), excitations=every)
     sensors = Sensors(list_directions((1, 5)), NoiseModel(0.0, 0.02))
     fit = fit_of(rotor_of, measure(clean, sensors, np.random.default_rng(0)), 0.01, "loss.noise=estimated")

@@ -133,15 +133,17 @@ def test_intervals_hold_on_five_data_sets() -> None:
     assert np.median(errors) <= 1.5
 
 
-@pytest.mark.parametrize("model", ["constant", "b_spline"])
-def test_there_must_be_hidden_layers(model: str) -> None:
-    with pytest.raises(ConfigError, match=f"but got model.kind={model}: choose"):
-        fit(data(), setup_of(compose_config([*FILM, f"model={model}", "loss.hidden=trained"])))
-
-
-def test_halves_need_four_speeds() -> None:
-    with pytest.raises(ConfigError, match="4 training speeds or more, which it halves, but got 3"):
-        fit(task(Case(0.01, "bearings", 3), *FILM), setup())
+@pytest.mark.parametrize(
+    ("speeds", "overrides", "words"),
+    [
+        (60, ("model=constant", "loss.hidden=trained"), "but got model.kind=constant: choose"),
+        (60, ("model=b_spline", "loss.hidden=trained"), "but got model.kind=b_spline: choose"),
+        (3, SMALL, "4 training speeds or more, which it halves, but got 3"),
+    ],
+)
+def test_there_must_be_hidden_layers_and_four_speeds(speeds: int, overrides: tuple[str, ...], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        fit(task(Case(0.01, "bearings", speeds), *FILM), setup_of(compose_config([*FILM, *overrides])))
 
 
 @pytest.mark.slow

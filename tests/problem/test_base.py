@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from running import GROUNDED
+from training import assert_slopes, differences
 
 from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import DIRECTIONS, Excitation
@@ -135,13 +136,8 @@ def test_derivatives_by_the_base_are_those_of_the_rotor_solved_anew() -> None:
     measurement = measured()
     theta = 0.4 * np.cos(1.7 * np.arange(len(measurement.parameters)))
     slopes = ReadingSlopes(measurement.update(theta), films()).by_model * measurement.deviation[..., None]
-    for t in range(len(theta)):
-        step = 1e-4 * np.eye(len(theta))[t]
-        ahead, behind = (measurement.update(theta + sign * step).response.predict(films()) for sign in (1, -1))
-        difference = (ahead - behind) / 2e-4
-        assert np.abs(slopes[..., t] - difference).max() <= 1e-6 * np.abs(difference).max(), measurement.parameters[
-            t
-        ].name
+    wanted = differences(lambda at: measurement.update(at).response.predict(films()), theta, 1e-4)
+    assert_slopes(slopes, wanted, 1e-6)
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def gathered(deviation: dict[str, float] | None = None, **changed: Any) -> Evide
 
 
 def record(evidence: Evidence, mistakes: list[Mistake] | None = None) -> dict[str, Any]:
-    return judge(evidence, [], judge_mistakes(mistakes or [], list(find_contradicted(evidence)))).record()
+    return judge(evidence, [], judge_mistakes(mistakes or [], list(find_contradicted(evidence))))
 
 
 def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def test_a_tolerance_larger_than_the_fits_own_share_is_named() -> None:
 
 def test_mirrored_phases_are_told_by_the_orbits() -> None:
     """Without a run of unbalances, or where half of the orbits turn backward, nothing is said."""
-    assert not judge_whirl({}) + judge_whirl({"a": 0.9, "b": 0.3})
+    assert not [*judge_whirl({}), *judge_whirl({"a": 0.9, "b": 0.3})]
     (reason,) = judge_whirl({"a": 1.0, "b": 0.96})
     assert_says(reason.sentence, "unbalance runs turn backward at 98 % of speeds and nodes")
 
