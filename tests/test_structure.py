@@ -53,7 +53,7 @@ HOMES = {
 }
 """Where alone a package may be imported."""
 
-AT_ONCE = {"numpy", "scipy.linalg", "pydantic"}
+AT_ONCE = {"numpy", "pydantic"}
 """What a module may import when it is imported itself; everything else waits until it is used."""
 
 ALL_HEAVY = {
@@ -172,7 +172,7 @@ def test_a_package_is_imported_in_its_home_only(package: str) -> None:
 
 
 def test_heavy_packages_wait_until_they_are_used() -> None:
-    """At import time only numpy, scipy.linalg and pydantic come along: help and errors answer at once."""
+    """At import time only numpy and pydantic come along: help and errors answer at once."""
     others = [
         str(i)
         for i in imports()

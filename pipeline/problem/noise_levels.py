@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from pipeline.data.conditions import Conditions
 from pipeline.errors import IdentifiabilityError
@@ -118,6 +117,8 @@ def fit_tail(distance: np.ndarray, size: int, freedom: float, below: float = np.
 
 def spread_blocks(record: np.ndarray) -> np.ndarray:
     """(D, D) with the blocks of the speeds (S, P, P) on its diagonal."""
+    from scipy.linalg import block_diag
+
     return np.asarray(block_diag(*record), dtype=complex)
 
 
