@@ -168,10 +168,12 @@ def document(*states: Exported, numbers: Sequence[Number] = ()) -> Document:
     (stiffness, damping), bearings = NAMES[states[0].units], []
     for exported, (b, node) in itertools.product(states, enumerate(states[0].table.nodes)):
         beside = list_columns({name: np.array([value]) for name, value in exported.operating.items()})
-        unknown = exported.identified[b].tolist()
+        identified = exported.identified[b].tolist()
         value, *std = (table[b].T.tolist() for table in exported.tables.values())
         coefficients = {
-            name: Coefficient(identified=unknown[c], value=value[c], std=std[0][c] if std and unknown[c] else None)
+            name: Coefficient(
+                identified=identified[c], value=value[c], std=std[0][c] if std and identified[c] else None
+            )
             for c, name in enumerate(COEFFICIENTS)
         }
         operating, rpm = {name: float(levels[0]) for name, levels in beside.items()}, exported.rpm.tolist()

@@ -211,7 +211,7 @@ def make_tables(comparison: Comparison) -> list[Table]:
     each = [
         [
             comparison.label(m, [main]),
-            *(comparison.format_entry(m, main, n) * bool(comparison.entries(m, main, n)) for n in comparison.names),
+            *(comparison.format_entry(m, main, n) if comparison.entries(m, main, n) else "" for n in comparison.names),
         ]
         for m in methods
     ]
