@@ -17,6 +17,9 @@ RPM_OF = {"rpm": 1.0, "Hz": 60.0, "rad/s": 30.0 / np.pi}
 CONVENTIONS = {"length": "um", "amplitude": "peak_to_peak", "phase": "lag", "phase_unit": "deg", "speed": "rpm"}
 PROBES = {"A": (0, 45.0), "B": (0, 135.0), "C": (2, 0.0), "D": (2, 90.0)}  # node, degrees from x towards y
 
+PAIR = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
+"""Of :func:`probes_config`: the columns of a wide table."""
+
 
 @dataclass(frozen=True)
 class Vectors:
@@ -40,8 +43,7 @@ def vectors_of(
 def columns(vector: np.ndarray, said: Mapping[str, str]) -> tuple[np.ndarray, np.ndarray]:
     """Amplitude and phase as written in the conventions."""
     amplitude = np.abs(vector) / METRE[said["length"]] / TO_PEAK[said["amplitude"]]
-    lead = np.angle(vector)
-    phase = -lead if said["phase"] == "lag" else lead
+    phase = np.angle(vector.conj() if said["phase"] == "lag" else vector)
     return amplitude, np.mod(np.degrees(phase), 360.0) if said["phase_unit"] == "deg" else phase
 
 
@@ -55,14 +57,13 @@ def wide(vectors: Vectors, said: Mapping[str, str] = CONVENTIONS) -> pd.DataFram
 
 def long(runs: Mapping[str, Vectors], said: Mapping[str, str] = CONVENTIONS) -> pd.DataFrame:
     """A row a run, probe and speed."""
-    frames = []
-    for run, vectors in runs.items():
-        for name, vector in vectors.of.items():
-            amplitude, phase = columns(vector, said)
-            speed = vectors.rpm / RPM_OF[said["speed"]]
-            frames.append(
-                pd.DataFrame({"run": run, "speed": speed, "probe": name, "amplitude": amplitude, "phase": phase})
-            )
+    frames = [
+        pd.DataFrame({"run": run, "speed": vectors.rpm / RPM_OF[said["speed"]], "probe": name}).assign(
+            **dict(zip(("amplitude", "phase"), columns(vector, said), strict=True))
+        )
+        for run, vectors in runs.items()
+        for name, vector in vectors.of.items()
+    ]
     return pd.concat(frames, ignore_index=True)
 
 
@@ -76,13 +77,12 @@ def probes_config(probes: Mapping[str, Any] = PROBES, **more: Callable[[str], An
 
 def table_config(runs: Sequence[Mapping[str, Any]], layout: str = "wide", **changes: Any) -> dict[str, Any]:
     """The section ``ingest`` for tables of this module."""
-    pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}} if layout == "wide" else {}
     return {
         "format": "table",
         "layout": layout,
         "conventions": dict(CONVENTIONS),
         "columns": {"speed": "speed"},
-        "probes": probes_config(**pair),
+        "probes": probes_config(**PAIR if layout == "wide" else {}),
         "shaft_angle": "from_x",
         "runs": [dict(run) for run in runs],
     } | changes
@@ -92,7 +92,6 @@ def uff_set(
     x: np.ndarray, values: np.ndarray, node: int, direction: int, texts: Sequence[str] = (), **changes: Any
 ) -> dict[str, Any]:
     """A dataset 58 for pyuff."""
-    ids = {f"id{i + 1}": text for i, text in enumerate(texts)}
     return (
         {
             "type": 58,
@@ -109,7 +108,7 @@ def uff_set(
             "ordinate_spec_data_type": 8,
             "orddenom_spec_data_type": 0,
         }
-        | ids
+        | {f"id{i + 1}": text for i, text in enumerate(texts)}
         | changes
     )
 

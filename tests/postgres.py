@@ -72,8 +72,15 @@ class Server:
         """To the database ``postgres``."""
         import psycopg
 
-        place = {"host": "127.0.0.1", "port": self.port, "dbname": "postgres"}
-        return psycopg.connect(user="study", password=PASSWORD, autocommit=True, connect_timeout=5, **place)
+        return psycopg.connect(
+            host="127.0.0.1",
+            port=self.port,
+            dbname="postgres",
+            user="study",
+            password=PASSWORD,
+            autocommit=True,
+            connect_timeout=5,
+        )
 
     def database(self) -> str:
         """The URL of a new, empty database."""

@@ -35,8 +35,7 @@ def response(node: int, turn: float = 0.0, rpm: np.ndarray = GRID) -> tuple[np.n
 
 def seen(turn: float = 0.0, rpm: np.ndarray = GRID, probes: Mapping[str, Any] = PROBES) -> Vectors:
     """What the probes of a run see."""
-    x, y = (lambda node: response(node, turn, rpm)[0]), (lambda node: response(node, turn, rpm)[1])
-    return vectors_of(rpm, x, y, probes)
+    return vectors_of(rpm, lambda node: response(node, turn, rpm)[0], lambda node: response(node, turn, rpm)[1], probes)
 
 
 def read_rows(folder: Path, rows: Iterable[list[str]], *given: Any, **options: Any) -> VibrationDataset:
@@ -88,14 +87,15 @@ def long_table(
 
 def check_read(dataset: VibrationDataset, tolerance: float = 1e-12, rpm: np.ndarray = GRID) -> None:
     """x and y of both nodes in both runs, as they were made."""
-    assert dataset.channels == ((0, 0.0), (0, 90.0), (2, 0.0), (2, 90.0))
-    assert dataset.runs == ("one", "two")
-    assert dataset.speeds == pytest.approx(rpm * RPM, rel=1e-9)
+    assert (dataset.channels, dataset.runs, dataset.speeds) == (
+        ((0, 0.0), (0, 90.0), (2, 0.0), (2, 90.0)),
+        ("one", "two"),
+        pytest.approx(rpm * RPM, rel=1e-9),
+    )
     for r, turn in enumerate(TURNS.values()):
         for n, node in enumerate((0, 2)):
             for d, true in enumerate(response(node, turn, rpm)):
-                found = dataset.displacement[:, 2 * n + d, r]
-                assert np.abs(found - true).max() < tolerance * np.abs(true).max()
+                assert np.abs(dataset.displacement[:, 2 * n + d, r] - true).max() < tolerance * np.abs(true).max()
 
 
 @cache
@@ -112,7 +112,6 @@ def with_ingest(section: dict[str, Any], **more: Any) -> Config:
 
 ONE = RUNS[0] | {"file": "a.csv"}
 BARE = {"name": "two", "file": "b.csv"}
-VOLTS: dict[str, Any] = {"channel": lambda name: name, "scale": lambda name: "8 V/mm"}
 
 
 def waves(**changes: Any) -> dict[str, Any]:
@@ -123,7 +122,7 @@ def waves(**changes: Any) -> dict[str, Any]:
         "signal_unit": "V",
         "sample_rate": "5 kHz",
         "tacho": {"channel": "tacho", "edge": "rising"},
-        "probes": probes_config(**VOLTS),
+        "probes": probes_config(channel=lambda name: name, scale=lambda name: "8 V/mm"),
         "shaft_angle": "from_x",
         "speeds": {"start_rpm": 800, "stop_rpm": 2500, "step_rpm": 100},
         "runs": [ONE],

@@ -109,8 +109,9 @@ NO_BROWSER = "no Chromium here (apt-get install chromium): what it would show is
 def open_in_browser(address: str, *flags: str) -> tuple[str, list[str]]:
     """What a page has become in headless Chromium, and what its scripts said."""
     flags += ("--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--virtual-time-budget=60000")
-    command = [str(BROWSER), *flags, "--dump-dom", address]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(
+        [str(BROWSER), *flags, "--dump-dom", address], capture_output=True, text=True, timeout=120, check=True
+    )
     return done.stdout, [line for line in done.stderr.splitlines() if ":CONSOLE" in line]
 
 

@@ -74,11 +74,10 @@ def small_rig(
         parameters=model_parameters(deviations or {}, made.rotor, plain.dataset, bearings, unknowns),
     )
     response = template.update(np.array(truth)).response if len(truth) else template.response
-    (block,) = response.blocks
     exact = response.predict(bearings, AS_FOUND).transpose(2, 0, 1)  # (C, S, P)
     root = correlated_root(rng, drift)
     noise = (circular(rng, count, SIZE) @ root.T).reshape(exact.shape)
-    assert len(block.runs) == count
+    assert [len(block.runs) for block in response.blocks] == [count]
     return SmallRig(template, bearings, replace(blank, displacement=exact + noise), root)
 
 

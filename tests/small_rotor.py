@@ -61,10 +61,9 @@ def small_machine(
 
 def with_weights(data: VibrationDataset, *acting: tuple[str, float, float]) -> VibrationDataset:
     """The data set with a run a weight at the disc, of run, size (kg m) and angle (rad); nothing is read yet."""
-    runs = tuple(run for run, _, _ in acting)
     weights = tuple(Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting)
-    unread = np.ones((*data.displacement.shape[:2], len(runs)), dtype=complex)
-    return replace(data, runs=runs, excitations=weights, displacement=unread)
+    unread = np.ones((*data.displacement.shape[:2], len(acting)), dtype=complex)
+    return replace(data, runs=tuple(run for run, _, _ in acting), excitations=weights, displacement=unread)
 
 
 def fitted_beside_truth(config: Config, seed: int) -> tuple[OutputErrorFit, np.ndarray]:

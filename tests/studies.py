@@ -127,12 +127,15 @@ Undisturbed = Callable[..., list[Told]]
 
 def told(problem: StudyProblem) -> list[Told]:
     """Everything that a report could tell of the finished trials, but for times and workers."""
-    own = {"worker", "training_seconds", "repeats"}
     with stored(problem) as study:
         return [
             (
                 *(place, t.state.name, t.params, t.value, t.intermediate_values),
-                {name: value for name, value in t.user_attrs.items() if name not in own},
+                {
+                    name: value
+                    for name, value in t.user_attrs.items()
+                    if name not in {"worker", "training_seconds", "repeats"}
+                },
             )
             for place, t in (list_results(study) if study else {}).items()
         ]
@@ -269,8 +272,7 @@ class Runner:
 
     def workers(self) -> list[psutil.Process]:
         """The processes that it started to work beside it."""
-        children = psutil.Process(self.pid).children()
-        return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        return [child for child in psutil.Process(self.pid).children() if "spawn_main" in " ".join(child.cmdline())]
 
     def halt(self) -> int:
         """Wait until it halts in its first trial, and return that trial's number."""

@@ -42,8 +42,7 @@ def assert_normal(problem: OutputError, weights: torch.Tensor) -> None:
     gradient, matrix = problem.normal(weights)
     left = torch.diag((~problem.fitted()).to(columns.dtype))
     for found, other, beside in ((matrix[0, 0], columns, left), (gradient[0, 0, :, None], rows, 0.0)):
-        size = columns.abs().T @ other.abs()
-        assert bool(((found - columns.T @ other - beside).abs() <= 1e-10 * size).all())
+        assert bool(((found - columns.T @ other - beside).abs() <= 1e-10 * columns.abs().T @ other.abs()).all())
 
 
 def differences(evaluate: Callable[[Any], Any], at: np.ndarray, step: float) -> np.ndarray:
@@ -129,12 +128,9 @@ def trained(measurement: Measurement, setup: FitSetup, guesses: list[float]) -> 
 
 def errors(machine: Machine, training: ResidualTraining, found: Minimum) -> np.ndarray:
     """(G,) the largest relative error of any coefficient and speed."""
-    worst = []
-    for parameters in found.parameters:
-        values = training.identified(parameters).values(machine.speeds)
-        true = np.stack([machine.bearings.coefficient(n) for n in training.problem.model.unknowns], axis=-1)
-        worst.append(np.abs(values / true - 1).max())
-    return np.array(worst)
+    true = np.stack([machine.bearings.coefficient(n) for n in training.problem.model.unknowns], axis=-1)
+    answers = [training.identified(parameters).values(machine.speeds) for parameters in found.parameters]
+    return np.array([np.abs(values / true - 1).max() for values in answers])
 
 
 def a_model(
@@ -145,9 +141,8 @@ def a_model(
     members: int = 2,
 ) -> CoefficientModel:
     """A small model; depth None for constants."""
-    names = ("kxx", "kyy", "cxx", "cyy")[:unknowns]
     return CoefficientModel(
-        unknowns=names,
+        unknowns=("kxx", "kyy", "cxx", "cyy")[:unknowns],
         inputs=("speed",),
         parametrisation=parametrisation,
         scale=tuple(tuple(10.0 ** (6 + u + m) for u in range(unknowns)) for m in range(members)),

@@ -27,9 +27,7 @@ def test_missing_weight_and_shifted_probe_are_told_apart_and_hide_nothing() -> N
     named = {name: explain(conditions.of([names.index(name)]), model, chance) for name, chance in chances.items()}
     assert set(named) == {"C005", "C006", "C017"}
     assert named["C005"].missing == named["C006"].missing == (PLANES[1],)
-    assert named["C017"].shifted == (2, 90.0)
-    assert named["C017"].explained
-    assert named["C017"].seen[:, 1].all()
+    assert (named["C017"].shifted, named["C017"].explained, named["C017"].seen[:, 1].all()) == ((2, 90.0), True, True)
     assert abs(named["C005"].reading.value - bare[0]).max() < 3 * GRAM
     assert len(model.weights) == 37
 

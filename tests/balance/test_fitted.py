@@ -58,9 +58,8 @@ def test_one_column_is_the_shrunk_mean(rng: np.random.Generator) -> None:
     machine, n = truth(rng), 9
     off = replace(machine, baseline=machine.baseline + machine.root @ circular(rng, SIZE))
     vectors = machine.mean(np.zeros((n, 2))) + circular(rng, n, SIZE) @ machine.root.T
-    conditions = machine.gather(np.zeros((n, 2), dtype=complex), vectors)
     model = know(off)
-    found = blend(model, conditions, model.noise, np.ones(n))
+    found = blend(model, machine.gather(np.zeros((n, 2), dtype=complex), vectors), model.noise, np.ones(n))
     size, none = found.sizes[0], np.zeros((1, 2))
     mean = vectors.mean(0) - off.baseline
     np.testing.assert_allclose(found.predict(none)[0][0] - off.baseline, n * size / (1 + n * size) * mean, rtol=1e-9)

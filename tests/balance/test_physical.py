@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import physical_peers as module
@@ -86,9 +86,8 @@ def test_other_speeds_are_those_of_the_response_solved_there(rig: SmallRig, mode
     """Oracle: the whole response at the fitted coefficients and parameters, at speeds that no condition had."""
     speeds = np.array([90.0, 125.0, 150.0])
     moved, weights = carry(model, speeds), loads()
-    values = model.problem.unknowns(model.weights)[0][0, 0].numpy()
     eight = np.zeros((2, len(speeds), 8))
-    eight[..., [0, 3, 4, 7]] = values.reshape(2, 1, 4)
+    eight[..., [0, 3, 4, 7]] = model.problem.unknowns(model.weights)[0][0, 0].numpy().reshape(2, 1, 4)
     bearings = BearingTable((0, 5), speeds, eight)
     dataset = to_dataset(spread_conditions(weights, PLANES, speeds, CHANNELS))
     there = replace(model.measurement, dataset=dataset, known=bearings, drift=NO_LEVELS)
@@ -142,19 +141,14 @@ def test_without_a_law_the_response_is_linear(rig: SmallRig, setup: FitSetup) ->
 
 def test_one_fit_serves_both_peers(rig: SmallRig, setup: FitSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     """A split is fitted once; other conditions again. The blend has no other speeds, the physical model has."""
-    calls: list[object] = []
-
-    def counted(*given: Any) -> Physical:
-        calls.append(given)
-        return fit_physical(*given)
-
+    counted = Mock(wraps=fit_physical)
     monkeypatch.setattr(module, "fit_physical", counted)
     plain = replace(rig.template, parameters=())
     peers, train, elsewhere = physical_peers(plain, setup, 0.01), rig.conditions, np.array([125.0])
     assert peers["blend"](train, train.speeds).physical is peers["physical"](train, train.speeds)
     assert peers["physical"](train, elsewhere).predict(loads())[0].shape == (5, len(CHANNELS))
-    assert len(calls) == 1
+    assert counted.call_count == 1
     with pytest.raises(IdentifiabilityError, match="the physical model alone"):
         peers["blend"](train, elsewhere)
     peers["physical"](train.at([0]), train.speeds[:1])
-    assert len(calls) == 2
+    assert counted.call_count == 2

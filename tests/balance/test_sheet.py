@@ -132,8 +132,7 @@ def test_bounds_and_chances_of_drawn_numbers() -> None:
         bound = bound_size(np.array([true]), circle_radius(np.ones(1), np.inf))
         assert np.mean(np.abs(true + noise) <= bound) == pytest.approx(0.95, abs=0.005)
     drawn = circular(rng, 4000, 3)
-    student = drawn / np.sqrt(rng.chisquare(10, (4000, 1)) / 10)
-    for values, freedom in ((drawn, np.inf), (student, 5.0)):
+    for values, freedom in ((drawn, np.inf), (drawn / np.sqrt(rng.chisquare(10, (4000, 1)) / 10), 5.0)):
         chances = [judge_distance(float((np.abs(v) ** 2).sum()), 3, freedom) for v in values]
         assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
     assert np.isnan(judge_distance(1.0, 0, np.inf))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import examples
+from conftest import examples, refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,26 +35,18 @@ def test_paths_with_spaces_and_quotes(override: str, folder: str) -> None:
     assert compose_config([override]).output == folder
 
 
-def test_composing_leaves_hydra_as_it_was() -> None:
+def test_composing_leaves_hydra_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.hydra_config import HydraConfig
     from hydra.version import VersionBase
     from packaging.version import Version
 
-    before, configured = VersionBase.instance().getbase(), HydraConfig.initialized()
-    VersionBase.instance().setbase(Version("1.2"))
-    try:
-        with pytest.raises(ConfigError):
-            compose_mapping(["nothing=3"])
-        assert not GlobalHydra.instance().is_initialized()
-        assert HydraConfig.initialized() == configured
-        assert VersionBase.instance().getbase() == Version("1.2")
-    finally:
-        VersionBase.instance().version_base = before
-
-
-def test_validated_takes_a_plain_mapping() -> None:
-    assert validate(_default() | {"seed": 4}).seed == 4
+    configured = HydraConfig.initialized()
+    monkeypatch.setattr(VersionBase.instance(), "version_base", Version("1.2"))
+    with pytest.raises(ConfigError):
+        compose_mapping(["nothing=3"])
+    assert not GlobalHydra.instance().is_initialized()
+    assert (HydraConfig.initialized(), VersionBase.instance().getbase()) == (configured, Version("1.2"))
 
 
 FOREIGN = ("Traceback", "struct", "hydra.cc", "HYDRA_FULL_ERROR", "pydantic", "Input should")
@@ -101,9 +93,8 @@ OVERRIDES = [
 
 @pytest.mark.parametrize(("overrides", "fragments"), OVERRIDES)
 def test_sentences_for_overrides(overrides: list[str], fragments: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with refused(*fragments, kind=ConfigError) as caught:
         compose_config(overrides)
-    assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
     assert [word for word in FOREIGN if word in str(caught.value)] == []
 
 
@@ -169,9 +160,8 @@ def _changed(changes: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("changes", "sentence"), VALUES)
 def test_sentences_for_values(changes: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with refused(sentence, kind=ConfigError) as caught:
         validate(_changed(changes))
-    assert sentence in str(caught.value)
     assert [word for word in FOREIGN if word in str(caught.value)] == []
     assert all(len(line) < 340 for line in str(caught.value).splitlines())
 

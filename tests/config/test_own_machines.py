@@ -28,8 +28,7 @@ def test_a_machine_of_another_folder(folder: Path) -> None:
     """Its stem is the experiment's name, its bearings say what is identified, its probes how noisy it is."""
     config = compose_config([given_by(machine_file(folder))])
     assert (config.name, config.output) == ("pump_one", "artifacts/pump_one")
-    assert config.machine.file == str(folder / "pump one.yaml")
-    assert config.identify.unknowns == UNKNOWNS["rolling"]
+    assert (config.machine.file, config.identify.unknowns) == (str(folder / "pump one.yaml"), UNKNOWNS["rolling"])
     assert (config.model.kind, config.loss.kind) == ("constant", "response")
     assert config.stated_noise.multiplicative == config.machine.probes.multiplicative == 0.01
 
@@ -55,22 +54,26 @@ def test_overrides_win_over_the_file(folder: Path) -> None:
 def test_an_experiment_with_a_machine_of_ones_own(folder: Path) -> None:
     """The machine is the file's, the method the experiment's; both are in the name, for both are in the results."""
     config = compose_config([given_by(machine_file(folder)), "experiment=ball_bearing"])
-    assert config.name == "pump_one_ball_bearing"
-    assert config.identify.unknowns == ("kxx", "kyy")
-    assert config.machine.bearings.kind == "linear"
+    assert (config.name, config.identify.unknowns, config.machine.bearings.kind) == (
+        "pump_one_ball_bearing",
+        ("kxx", "kyy"),
+        "linear",
+    )
 
 
 def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
     """Those of rotor, runs, recordings and known tables; on the command line they start in the working folder."""
     recordings = yaml.safe_load(fill_template(folder, "rolling", "tables"))["recordings"]
     recordings["runs"][1]["file"] = "/data/first.csv"
-    recordings["known"] = "known.csv"
     path = machine_file(
-        folder, rotor={"file": "rotor.toml"}, bearings={"kind": "rotor_file"}, recordings=recordings, runs=None
+        folder,
+        rotor={"file": "rotor.toml"},
+        bearings={"kind": "rotor_file"},
+        recordings=recordings | {"known": "known.csv"},
+        runs=None,
     )
     machine = compose_config([given_by(path)]).machine
-    assert machine.rotor.file == str(folder / "rotor.toml")
-    assert machine.recordings.known == str(folder / "known.csv")
+    assert (machine.rotor.file, machine.recordings.known) == (str(folder / "rotor.toml"), str(folder / "known.csv"))
     assert [run.file for run in machine.recordings.runs] == [
         str(folder / "recordings" / "as_found.csv"),
         "/data/first.csv",
@@ -82,8 +85,10 @@ def test_paths_in_the_file_start_in_its_folder(folder: Path) -> None:
 def test_the_path_of_a_bearings_table_starts_there_and_the_name_of_one_is_none(folder: Path) -> None:
     sizes = {"journal_diameter": 0.1, "length": 0.05, "radial_clearance": 1e-4, "static_load": 500, "load_share": 1}
     law = {"kind": "journal_table", **sizes}
-    laws = {"oil": {"law": "constant", "viscosity": 0.02}, "bearings": {1: law | {"table": "own.csv"}}}
-    laws["bearings"][5] = law | {"table": "elliptical", "preload": 0.3}
+    laws = {
+        "oil": {"law": "constant", "viscosity": 0.02},
+        "bearings": {1: law | {"table": "own.csv"}, 5: law | {"table": "elliptical", "preload": 0.3}},
+    }
     read = compose_config([given_by(machine_file(folder, laws=laws))]).machine.laws
     assert [getattr(one, "table", "") for one in read.bearings.values()] == [str(folder / "own.csv"), "elliptical"]
 
@@ -96,8 +101,7 @@ def test_paths_of_many_files_and_of_one_for_all(folder: Path) -> None:
     path = machine_file(folder, recordings=recordings | {"records": "constant_speed", "file": "all.h5"})
     read = compose_config([given_by(path)]).machine.recordings
     assert read.file == str(folder / "all.h5")
-    assert read.runs[1].files == (str(folder / "a.h5"), str(folder.parent / "b.h5"))
-    assert read.known == "bearings"
+    assert (read.runs[1].files, read.known) == ((str(folder / "a.h5"), str(folder.parent / "b.h5")), "bearings")
 
 
 def test_a_changed_file_is_another_machine(folder: Path) -> None:
@@ -131,8 +135,11 @@ def test_a_folder_of_machines_and_experiments(folder: Path) -> None:
     config = compose_config(["experiment=theirs"], folder)
     assert (config.name, config.machine.probes.seed, config.machine.probes.at) == ("theirs", 3, "bearings")
     mapping = compose_mapping(["machine=mine"], folder)
-    assert mapping["machine"]["runs_file"] == str(folder / "machine" / "x")
-    assert (mapping["name"], len(mapping["identify"]["unknowns"])) == ("mine", 8)
+    assert (mapping["name"], mapping["machine"]["runs_file"], len(mapping["identify"]["unknowns"])) == (
+        "mine",
+        str(folder / "machine" / "x"),
+        8,
+    )
     assert compose_mapping(["machine=mine", "experiment=noisy_direct"], folder)["name"] == "mine_noisy_direct"
     with refused("a file in conf/machine", "'mine'", kind=ConfigError):
         compose_config(["machine=mine"])  # nothing is left of it
@@ -286,12 +293,14 @@ def test_a_machine_alone_has_its_name_and_an_experiment_of_its_kind(name: str) -
     recordings have noise of a size to find.
     """
     config = compose_config([f"machine={name}"])
-    assert config.name == name
-    assert config.loss.noise == ("stated" if config.machine.recordings.format == "none" else "estimated")
     rolling = config.machine.bearings.kind in ("ball", "linear")
     recorded = config.machine.recordings.format != "none"
-    assert config.model.kind == ("constant" if rolling else "bearings_network" if recorded else "network")
-    assert config.identify.unknowns == UNKNOWNS["rolling" if rolling else "fluid_film"]
+    assert (config.name, config.loss.noise, config.model.kind, config.identify.unknowns) == (
+        name,
+        "estimated" if recorded else "stated",
+        "constant" if rolling else "bearings_network" if recorded else "network",
+        UNKNOWNS["rolling" if rolling else "fluid_film"],
+    )
     assert (
         Config.model_validate(config.model_dump()).model_copy(
             update={"chosen_by": config.chosen_by, "overrides": config.overrides}
@@ -307,12 +316,11 @@ def test_a_key_without_its_section_is_refused_with_it(override: str) -> None:
 
 
 def test_a_mistake_in_a_machine_file_needs_nothing_heavy(folder: Path) -> None:
-    path = machine_file(folder, bearings={"kind": "bal"})
     program = (
         "import sys\nfrom pipeline.__main__ import main\ncode = main(sys.argv[1:])\n"
         "print({'torch', 'ross', 'pandas', 'matplotlib', 'mlflow'} & set(sys.modules))\nsys.exit(code)"
     )
-    command = [sys.executable, "-c", program, given_by(path)]
+    command = [sys.executable, "-c", program, given_by(machine_file(folder, bearings={"kind": "bal"}))]
     done = subprocess.run(command, cwd=CONF.parent, capture_output=True, text=True)
     assert (done.returncode, done.stdout.strip()) == (2, "set()")
     assert "did you mean 'ball'?" in done.stderr

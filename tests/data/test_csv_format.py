@@ -35,15 +35,15 @@ ODD = (
     '"',
     "\0",
     "1e400",
+    *("1e400", "\t", "true", "NA", "null", "2020-01-01", "1,5", "1;5", "0x10", "1d5", "١", "\ufeff", "01"),
 )
-MORE = ("1e400", "\t", "true", "NA", "null", "2020-01-01", "1,5", "1;5", "0x10", "1d5", "١", "\ufeff", "01")
 KINDS = st.sampled_from(["number", "number or blank", "text"])
 
 
 @st.composite
 def files(draw: st.DrawFn) -> tuple[bytes, dict[str, str], CsvConfig]:
     """What a file holds, what is asked of it, and its format."""
-    cells = st.sampled_from(NUMBERS if draw(st.booleans()) else NUMBERS + ODD + MORE)
+    cells = st.sampled_from(NUMBERS if draw(st.booleans()) else NUMBERS + ODD)
     width, end, mark = draw(st.integers(1, 3)), draw(st.sampled_from(["\n", "\r\n", "\r"])), draw(st.sampled_from(",;"))
     rows = draw(st.lists(st.lists(cells, min_size=width, max_size=width), max_size=4))
     if draw(st.booleans()):

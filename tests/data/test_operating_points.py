@@ -33,8 +33,7 @@ def dataset_at(
     """Readings that tell their points apart."""
     random = np.random.default_rng(len(speeds))
     shape = (len(speeds), len(CHANNELS), len(RUNS))
-    values = 1e-6 * (random.normal(size=shape) + 1j * random.normal(size=shape))
-    values = values * present[:, None]
+    values = 1e-6 * (random.normal(size=shape) + 1j * random.normal(size=shape)) * present[:, None]
     return VibrationDataset(speeds, RUNS, CHANNELS, values, ACTING, operating=operating, present=present)
 
 
@@ -92,8 +91,10 @@ def test_what_is_written_is_read_in_the_same_order_whatever_the_order_of_the_row
 
 def test_columns_are_named_with_the_units_of_an_engineer(tmp_path: Path) -> None:
     _, (header, first, *_) = rows_of(grid(), tmp_path)
-    assert header[:4] == ["run", "speed_rpm", "oil_temperature_degC", "load_N"]
-    assert first[:4] == ["a", "100.0", "45.0", "500.0"]
+    assert (header[:4], first[:4]) == (
+        ["run", "speed_rpm", "oil_temperature_degC", "load_N"],
+        ["a", "100.0", "45.0", "500.0"],
+    )
 
 
 def test_other_units_and_names_of_other_programs_are_read(tmp_path: Path) -> None:
@@ -103,8 +104,7 @@ def test_other_units_and_names_of_other_programs_are_read(tmp_path: Path) -> Non
     found = read_rows(tmp_path, own)
     np.testing.assert_allclose(np.unique(found.operating["oil_temperature"].round(9)), KELVIN)
     assert set(found.operating) == {"oil_temperature", "drain_degC"}
-    again, _ = rows_of(found, tmp_path)
-    assert again.read_text().startswith("run,speed_rpm,oil_temperature_degC,drain_degC,")
+    assert rows_of(found, tmp_path)[0].read_text().startswith("run,speed_rpm,oil_temperature_degC,drain_degC,")
 
 
 Rows = list[list[str]]
@@ -142,8 +142,7 @@ def test_conditions_that_break_a_law_are_refused(change: Callable[[Rows], Rows],
 def test_a_run_may_lack_points_but_not_channels(tmp_path: Path) -> None:
     _, (header, *rows) = rows_of(grid(), tmp_path)
     found = read_rows(tmp_path, [header, *rows[2:]])
-    assert not found.complete
-    assert found.present.tolist() == [[False, True], *[[True, True]] * 7]
+    assert (found.complete, found.present.tolist()) == (False, [[False, True], *[[True, True]] * 7])
     assert (found.displacement[0, :, 0] == 0).all()
     with refused("every channel at every speed of a run", "run 'a', 100 rpm, 45 degC, 500 N, node 0 x"):
         read_rows(tmp_path, [header, *rows[1:]])
@@ -157,8 +156,7 @@ def test_conditions_within_the_tolerance_are_one_point_with_their_mean(tmp_path:
     rows = [[*row[:2], str(float(row[2]) + 0.3 * (row[0] == "b")), *row[3:]] for row in rows]
     apart = read_rows(tmp_path, [header, *rows])
     joined = read_rows(tmp_path, [header, *rows], same={"oil_temperature": 0.31})
-    assert not apart.complete
-    assert (len(apart.speeds), apart.present.sum()) == (16, 16)
+    assert (apart.complete, len(apart.speeds), apart.present.sum()) == (False, 16, 16)
     assert joined.complete
     np.testing.assert_allclose(np.unique(joined.operating["oil_temperature"]), [318.3, 328.3])
     np.testing.assert_allclose(joined.displacement, grid().displacement, rtol=1e-9)
@@ -184,12 +182,9 @@ def test_joined_values_move_by_no_more_than_the_tolerance_and_keep_their_order(
 def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> None:
     _, (header, *rows) = rows_of(grid(), tmp_path)
     (tmp_path / "excitation.csv").write_text("run,kind,node,magnitude,phase_deg,whirl\na,unbalance,1,1e-4,0,forward\n")
-    of_a = [row for row in rows if row[0] == "a"]
-    of_b = [row for row in rows if row[0] == "b"]
+    of_a, of_b = ([row for row in rows if row[0] == run] for run in RUNS)
     found = read_rows(tmp_path, [header, *of_a[2:], *of_b], baseline="b")  # 'b' alone was measured at the first point
-    assert found.runs == ("a",)
-    assert len(found.speeds) == 7
-    assert found.complete
+    assert (found.runs, len(found.speeds), found.complete) == (("a",), 7, True)
     assert found.subtracted is not None
     with refused(
         "the baseline 'b' must be measured at the speeds and conditions of the other runs", "run 'a', 100 rpm"
@@ -197,13 +192,10 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
         read_rows(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
 
 
-def table_at(speeds: np.ndarray, operating: dict[str, np.ndarray]) -> BearingTable:
-    return BearingTable((1, 5), speeds, np.random.default_rng(1).normal(size=(2, len(speeds), 8)), operating)
-
-
 def test_coefficients_there_and_back_by_speed_and_conditions(tmp_path: Path) -> None:
     data = grid()
-    table = table_at(data.speeds, dict(data.operating))
+    values = np.random.default_rng(1).normal(size=(2, len(data.speeds), 8))
+    table = BearingTable((1, 5), data.speeds, values, dict(data.operating))
     path = write_coefficients(tmp_path / "k.csv", table)
     assert path.read_text().startswith("bearing_node,speed_rpm,oil_temperature_degC,load_N,kxx,")
     some = np.array([6, 1, 3])

@@ -46,20 +46,18 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def table(files: Path) -> tuple[list[str], list[list[str]]]:
-    header, *rows = csv.reader((files / "vibration.csv").read_text().splitlines())
-    return header, rows
+def table(files: Path) -> list[list[str]]:
+    return list(csv.reader((files / "vibration.csv").read_text().splitlines()))
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 @given(order=st.permutations(range(27)))
 def test_rows_in_any_order_are_the_same_measurement_bit_for_bit(order: list[int], files: Path) -> None:
     """Channel by channel, descending, or mixed: what a fit reads does not change."""
-    header, rows = table(files)
+    header, *rows = table(files)
     sorted_one = read_measured(files / "vibration.csv", files / "excitation.csv", "found", 3)
     found = read_rows(files, [header, *(rows[i] for i in order)], "found", 3)
-    assert found.fingerprint == sorted_one.fingerprint
-    assert found.runs == ("weights", "force")
+    assert (found.fingerprint, found.runs) == (sorted_one.fingerprint, ("weights", "force"))
     assert (np.diff(found.speeds) > 0).all()
     for ours, theirs in zip(vars(sorted_one).values(), vars(found).values(), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -67,7 +65,7 @@ def test_rows_in_any_order_are_the_same_measurement_bit_for_bit(order: list[int]
 
 @pytest.mark.parametrize("row", [0, 13, 26])
 def test_a_row_that_is_there_twice_is_named(row: int, files: Path) -> None:
-    header, rows = table(files)
+    header, *rows = table(files)
     run, rpm, node, direction = rows[row][:4]
     words = f"the first: run '{run}', {float(rpm):g} rpm, node {node} {direction})"
     with refused("must have one row a run, speed, node and direction", words):

@@ -10,8 +10,6 @@ from typing import Any
 import pytest
 from running import ROOT
 
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-
 
 def read(path: Path) -> Any:
     """A notebook."""
@@ -37,7 +35,7 @@ def run(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, 
     return names
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
 def test_no_output_is_kept(path: Path) -> None:
     """Outputs are of one machine and one day; git keeps the cells alone."""
     text = path.read_text(encoding="utf-8")

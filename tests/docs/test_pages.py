@@ -31,7 +31,6 @@ _ELSEWHERE = re.compile(r"machine\.file=|--config-dir|hydra/launcher|--help|--cf
 _LONG = re.compile(r"stage=(compare|robustness|tune|senses|check)|postgresql|tracking\.uri")
 """Left out at night: many fits, which tests of their stages make of small machines; the check, which wants the results
 of `make reproduce`; a database and a server that are not here."""
-COMMAND_LINE = ENVIRONMENT | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
 
 
 def commands(page: Path) -> list[str]:
@@ -82,8 +81,7 @@ def test_the_program_takes_every_command() -> None:
     for command in COMMANDS:
         words = shlex.split(command)[3:]
         try:
-            jobs = expand_sweeps([w for w in words if w != "-m"])[0] if "-m" in words else [words]
-            for job in jobs:
+            for job in expand_sweeps([w for w in words if w != "-m"])[0] if "-m" in words else [words]:
                 compose_stages(job)
         except ConfigError as error:
             refused[command] = str(error)
@@ -103,7 +101,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("command", [command for command in COMMANDS if not _LONG.search(command)])
 def test_a_command_runs_as_printed(command: str, results: Path) -> None:
     """In one folder, as a reader gives them; but those that are left out."""
-    done = subprocess.run(["bash", "-c", command], cwd=results, env=COMMAND_LINE, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-c", command],
+        cwd=results,
+        env=ENVIRONMENT | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr[-500:]
 
 

@@ -37,10 +37,8 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     """Scripts, styles, fonts and pictures are files of the site: an engineer's network may be closed."""
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 20
-    loaded = {p.name: _LOADED.findall(p.read_text(encoding="utf-8")) for p in pages}
-    assert {name: found for name, found in loaded.items() if found} == {}
-    styles = {p.name: _IMPORTED.findall(p.read_text(encoding="utf-8")) for p in [*site.rglob("*.css"), *pages]}
-    assert {name: found for name, found in styles.items() if found} == {}
+    for pattern, files in ((_LOADED, pages), (_IMPORTED, [*site.rglob("*.css"), *pages])):
+        assert {p.name: found for p in files if (found := pattern.findall(p.read_text(encoding="utf-8")))} == {}
 
 
 def test_a_page_has_its_tables_and_lists(site: Path) -> None:

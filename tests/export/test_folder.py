@@ -24,14 +24,14 @@ NUMBERS = [Number(name="node 8 radial clearance", value=99.9, std=0.07, unit="um
 @pytest.fixture
 def states() -> list[Exported]:
     """Both bearings at 45 and 70 degC."""
-    found = []
-    for celsius in (45.0, 70.0):
-        table = warm_bearings(SPEEDS, np.full(len(SPEEDS), celsius))
-        operating = {"oil_temperature": celsius + 273.15}
-        found.append(
-            Exported("toy", replace(table, deviation=0.1 * table.values), np.ones((2, 8), dtype=bool), "si", operating)
+    tables = {celsius: warm_bearings(SPEEDS, np.full(len(SPEEDS), celsius)) for celsius in (45.0, 70.0)}
+    every = np.ones((2, 8), dtype=bool)
+    return [
+        Exported(
+            "toy", replace(table, deviation=0.1 * table.values), every, "si", {"oil_temperature": celsius + 273.15}
         )
-    return found
+        for celsius, table in tables.items()
+    ]
 
 
 def configured(operating: tuple[dict[str, float], ...] = ()) -> Any:

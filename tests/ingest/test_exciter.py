@@ -29,7 +29,7 @@ PROBES = {name: {"node": 0, "angle": angle, "channel": name} for name, angle in 
 
 def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: Any) -> tuple[Any, FrequencyResponse]:
     """A mass on a spring, pushed along x in each file, with noise as shares of motion and force; and its averages."""
-    generator, paths = np.random.default_rng(3), []
+    generator = np.random.default_rng(3)
     for i, force in enumerate(forces):
         motion = lfilter(*FILTER, force)
         drawn = generator.standard_normal((3, len(force)))
@@ -42,7 +42,6 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
         np.savez(
             folder / f"{i}.npz", force=0.0225 * felt[keep], **{name: values[keep] for name, values in shown.items()}
         )
-        paths.append(str(folder / f"{i}.npz"))
     config = ExciterRecordingsConfig.model_validate(
         {
             "format": "exciter",
@@ -51,7 +50,14 @@ def read(folder: Path, forces: list[np.ndarray], noise: float = 0.0, **changes: 
             "reference": {"channel": "force", "size": "1 V / (22.5 mV/N)"},
             "averaging": {"segment": 2.0, "start_hz": 10, "stop_hz": 90, "step_hz": 2} | changes.get("averaging", {}),
             "probes": PROBES,
-            "runs": [{"name": "push", "files": paths, "node": 0, "angle": "0 deg"}],
+            "runs": [
+                {
+                    "name": "push",
+                    "files": [str(folder / f"{i}.npz") for i in range(len(forces))],
+                    "node": 0,
+                    "angle": "0 deg",
+                }
+            ],
         }
     )
     (test,) = config.read_responses()

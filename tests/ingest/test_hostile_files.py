@@ -75,8 +75,6 @@ def _sets(path: Path) -> np.ndarray:
 
 
 _hdf5 = partial(_arrays, read_by=h5py.File)
-ZIPPED: dict[str, Any] = {"compression": "gzip", "chunks": (20,), "shuffle": True}
-SHORTS = (1e4 * TABLE.to_numpy()).astype(np.int16)
 KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], Any]]] = {
     "csv": ("csv", partial(TABLE.to_csv, index=False), partial(pd.read_csv, dtype=str)),
     "excel": ("xlsx", partial(TABLE.to_excel, index=False), pd.read_excel),
@@ -84,11 +82,15 @@ KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], Any]]] = 
     "npz": ("npz", lambda path: np.savez_compressed(path, **SIGNALS), partial(_arrays, read_by=np.load)),
     "wav": (
         "wav",
-        partial(wavfile.write, rate=100, data=SHORTS),
+        partial(wavfile.write, rate=100, data=(1e4 * TABLE.to_numpy()).astype(np.int16)),
         lambda p: dict(zip("ab", wavfile.read(p)[1].T / 2.0**15, strict=True)),
     ),
     "hdf5": ("h5", lambda path: write_hdf5(path, SIGNALS), _hdf5),
-    "zipped hdf5": ("h5", lambda path: write_hdf5(path, SIGNALS, **ZIPPED), _hdf5),
+    "zipped hdf5": (
+        "h5",
+        lambda path: write_hdf5(path, SIGNALS, compression="gzip", chunks=(20,), shuffle=True),
+        _hdf5,
+    ),
     "tdms": ("tdms", lambda path: write_tdms(path, SIGNALS), _tdms),
     "mat 4": ("mat", lambda path: scipy.io.savemat(path, SIGNALS, format="4"), scipy.io.loadmat),
     "mat 5": ("mat", lambda path: scipy.io.savemat(path, SIGNALS | {"run": {"x": [1.0]}}), scipy.io.loadmat),

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from measured_files import (
     CONVENTIONS,
     METRE,
+    PAIR,
     RPM_OF,
     TO_PEAK,
     Vectors,
@@ -27,7 +28,6 @@ from measured_files import (
     wide,
 )
 from reading import RPM, RUNS, parsed
-from test_motion import PAIR
 
 from pipeline.errors import ConfigError, DataError
 from pipeline.ingest.dataset import MeasuredRuns, read_measured_runs
@@ -186,9 +186,8 @@ def test_any_table(rows: list[list[Any]], header: list[str]) -> None:
         found = read_or_refused(table_config([RUN | {"file": str(path)}]))
     if found is None:
         return
-    dataset = found.dataset
-    assert dataset.speeds == pytest.approx(np.sort(table.map(float)["speed"].to_numpy()) * RPM, rel=1e-9)
-    assert np.isfinite(dataset.displacement).all()
+    assert found.dataset.speeds == pytest.approx(np.sort(table.map(float)["speed"].to_numpy()) * RPM, rel=1e-9)
+    assert np.isfinite(found.dataset.displacement).all()
 
 
 @given(said=st.dictionaries(st.sampled_from([*CONVENTIONS, "other"]), st.one_of(st.none(), st.text(max_size=6))))

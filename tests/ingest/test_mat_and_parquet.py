@@ -103,8 +103,7 @@ def test_waveforms(write: Any, clock: dict[str, Any], tmp_path: Path) -> None:
         clocks = {"fs": 5000.0, "t": 1e3 * channels.pop("time"), "tacho": channels.pop("tacho")}
         return Path(write(tmp_path / f"{name}.mat", {"probe": channels} | clocks))
 
-    probes = probes_config(channel=lambda name: f"probe.{name}")
-    check_steady(steady(write_channels, probes=probes) | clock)
+    check_steady(steady(write_channels, probes=probes_config(channel=lambda name: f"probe.{name}")) | clock)
 
 
 @pytest.mark.parametrize("write", WRITERS)

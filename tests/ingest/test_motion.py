@@ -13,7 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from measured_files import (
     CONVENTIONS,
+    PAIR,
     TO_PEAK,
+    Vectors,
+    long,
     probes_config,
     table_config,
     uff_set,
@@ -44,7 +47,6 @@ UNITS = {  # of SI; in/s and mil/s by the inch, g by the standard acceleration
     "acceleration": {"g": 9.80665, "m/s^2": 1.0, "m/s2": 1.0, "mm/s²": 1e-3},
 }
 ON = {"mounted": lambda name: "casing"}
-PAIR = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
 
 
 def said(kind: str, unit: str, **changes: Any) -> dict[str, Any]:
@@ -54,13 +56,9 @@ def said(kind: str, unit: str, **changes: Any) -> dict[str, Any]:
 
 def moved(order: int, size: float, ratio: float = 1.0, amplitude: str = "zero_to_peak") -> pd.DataFrame:
     """A long table of what the probes of both runs see, by the derivative of the order, in units of ``size``."""
-    frames = []
-    for run, turn in TURNS.items():
-        for name, vector in seen(turn).of.items():
-            value = vector * (1j * ratio * GRID * RPM) ** order / size / TO_PEAK[amplitude]
-            column = {"amplitude": np.abs(value), "phase": np.degrees(-np.angle(value))}
-            frames.append(pd.DataFrame({"run": run, "probe": name, "speed": GRID} | column))
-    return pd.concat(frames, ignore_index=True)
+    slope = (1j * ratio * GRID * RPM) ** order / size
+    runs = {run: Vectors(GRID, {name: of * slope for name, of in seen(turn).of.items()}) for run, turn in TURNS.items()}
+    return long(runs, CONVENTIONS | {"length": "m", "amplitude": amplitude})
 
 
 @pytest.mark.slow
@@ -147,10 +145,9 @@ def test_time_signals_of_velocity(tmp_path: Path) -> None:
         signal_unit="um/s",
         probes=probes_config(channel=lambda name: name, **ON),
     )
-    found = check_steady(section)
     volts = probes_config(channel=lambda name: name, scale=lambda name: "1 V/(um/s)", **ON)
     again = read(section | {"signal_unit": "V", "probes": volts})
-    assert np.allclose(again.displacement, found.displacement, rtol=1e-12, atol=0)
+    assert np.allclose(again.displacement, check_steady(section).displacement, rtol=1e-12, atol=0)
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {

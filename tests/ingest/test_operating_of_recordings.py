@@ -39,8 +39,7 @@ def recordings(folder: Path, name: str = "{run} at {celsius:g}") -> list[dict[st
 
 
 def check_states(found: VibrationDataset, runs: tuple[str, ...]) -> None:
-    assert found.runs == runs
-    assert found.complete
+    assert (found.runs, found.complete) == (runs, True)
     np.testing.assert_allclose(found.speeds, np.tile(GRID * RPM, 2))
     np.testing.assert_allclose(found.operating["oil_temperature"], np.repeat(KELVIN, len(GRID)))
     for r, turn in enumerate((0.0, 1.1)):
@@ -67,8 +66,7 @@ def test_runs_of_other_excitation_need_not_share_conditions(tmp_path: Path) -> N
     """What one of them has and the other lacks was not measured in that one."""
     runs = [run for i, run in enumerate(recordings(tmp_path)) if i in (0, 3)]
     found = read(table_config(runs))
-    assert found.runs == ("one at 45", "two at 65")
-    assert not found.complete
+    assert (found.runs, found.complete) == (("one at 45", "two at 65"), False)
     assert found.present.tolist() == [[True, False]] * len(GRID) + [[False, True]] * len(GRID)
     joined = read(table_config([runs[0], runs[1] | at(45.2)], same_conditions={"oil_temperature": "0.5 K"}))
     assert joined.complete
@@ -79,8 +77,7 @@ def test_a_baseline_may_be_measured_at_every_state(tmp_path: Path) -> None:
     runs = recordings(tmp_path, "{run}")
     bare = [{key: value for key, value in run.items() if key != "unbalances"} | {"name": "found"} for run in runs[:2]]
     found = read(table_config([*runs, *bare], baseline="found"))
-    assert found.runs == ("one", "two", "found")
-    assert found.complete
+    assert (found.runs, found.complete) == (("one", "two", "found"), True)
 
 
 def test_oil_that_warms_during_a_run_up_by_speed(tmp_path: Path) -> None:
@@ -91,8 +88,9 @@ def test_oil_that_warms_during_a_run_up_by_speed(tmp_path: Path) -> None:
     warm = 40 + 10 * (GRID - 500) / 2500
     assert not found.complete
     at_one = found.present[:, 0]
-    order = np.argsort(found.speeds[at_one])
-    np.testing.assert_allclose(found.operating["oil_temperature"][at_one][order], warm + 273.15)
+    np.testing.assert_allclose(
+        found.operating["oil_temperature"][at_one][found.speeds[at_one].argsort()], warm + 273.15
+    )
     assert (np.diff(found.operating["oil_temperature"]) >= 0).all()
 
 
@@ -192,6 +190,5 @@ def test_a_log_must_cover_what_a_run_has_alone(tmp_path: Path) -> None:
     log = tmp_path / "oil.csv"
     log.write_text("run,speed_rpm,oil_temperature_degC\none,500,40\none,3000,40\ntwo,1000,40\ntwo,2000,40\n")
     found = read(table_config(wide_runs(tmp_path, two=seen(1.1, GRID[2:7])), conditions_file=str(log)))
-    assert found.speeds == pytest.approx(GRID * RPM)
-    assert found.present.sum(axis=0).tolist() == [11, 5]
+    assert (found.speeds, found.present.sum(axis=0).tolist()) == (pytest.approx(GRID * RPM), [11, 5])
     assert found.displacement[2:7, 0, 1] == pytest.approx(response(0, 1.1, GRID[2:7])[0])

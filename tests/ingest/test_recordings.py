@@ -23,11 +23,11 @@ RESPONSES = {"A": [10, 1], "B": [10, 2], "C": [20, 1], "D": [20, 2]}
 
 def uff_sets(**changes: Any) -> list[dict[str, Any]]:
     """Order-1 functions of both runs."""
-    sets = []
-    for run, turn in TURNS.items():
-        for name, vector in seen(turn).of.items():
-            sets.append(uff_set(GRID, vector * 1e6 / 2**0.5, *RESPONSES[name], texts=[name, f"run {run}"], **changes))
-    return sets
+    return [
+        uff_set(GRID, vector * 1e6 / 2**0.5, *RESPONSES[name], texts=[name, f"run {run}"], **changes)
+        for run, turn in TURNS.items()
+        for name, vector in seen(turn).of.items()
+    ]
 
 
 def uff_config(path: Path, **changes: Any) -> dict[str, Any]:
@@ -69,8 +69,9 @@ def test_what_a_universal_file_says_otherwise_is_warned_of(tmp_path: Path) -> No
         "is per force",
     )
     units = {"type": 164, "units_code": 5, "length": 1000.0, "force": 1000.0, "temp": 1.0, "temp_offset": 0.0}
-    in_millimetres = write_uff(tmp_path / "b.uff", [units, *uff_sets()])
-    assert "its lengths are in 0.001 m (dataset 164)" in notes(uff_config(in_millimetres))
+    assert "its lengths are in 0.001 m (dataset 164)" in notes(
+        uff_config(write_uff(tmp_path / "b.uff", [units, *uff_sets()]))
+    )
     assert notes(uff_config(write_uff(tmp_path / "c.uff", uff_sets(ordinate_axis_units_lab="um pk-pk")))) == ""
 
 
@@ -110,9 +111,8 @@ BAD_UFF: dict[str, tuple[Callable[[list[dict[str, Any]]], list[dict[str, Any]]],
 @pytest.mark.parametrize("case", BAD_UFF)
 def test_a_universal_file_that_does_not_fit(case: str, tmp_path: Path) -> None:
     change, changes, words = BAD_UFF[case]
-    path = write_uff(tmp_path / "runs.uff", change(uff_sets()))
     with refused(words, "runs.uff"):
-        read(uff_config(path, **changes))
+        read(uff_config(write_uff(tmp_path / "runs.uff", change(uff_sets())), **changes))
 
 
 def test_numbers_that_are_none_in_a_universal_file(tmp_path: Path) -> None:
@@ -212,9 +212,8 @@ def test_slow_roll_of_a_run_up(tmp_path: Path) -> None:
     """The mean vector of the windows below the limit: the runout and what little the unbalance does there."""
     runs = [RUNS[0] | {"file": str(write_hdf5(tmp_path / "one.h5", run_up(0.0)))}]
     found = read(signal_config("", runs, slow_roll={"below_rpm": 420}))
-    true = response(2, 0.0, TRACKED)[0]
     low = response(2, 0.0, np.linspace(300, 420, 10))[0].mean()
-    assert np.abs(found.displacement[:, 2, 0] - (true - low)).max() < 0.07e-6
+    assert np.abs(found.displacement[:, 2, 0] - (response(2, 0.0, TRACKED)[0] - low)).max() < 0.07e-6
     with refused("must have data below machine.recordings.slow_roll.below_rpm=250", "windows fit from"):
         read(signal_config("", runs, slow_roll={"below_rpm": 250}))
 

@@ -64,9 +64,7 @@ def test_a_response_of_ross_is_the_data_set_of_the_simulation(folder: Path) -> N
     acting = tuple(excitation for run in config.runs for excitation in run_excitations(run, config.angle_from_x))
     made = simulate(assemble(ROTOR), bearing_table(ROTOR, BEARING, SPEEDS), acting, None)
     made = project(made, ((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)))
-    assert found.channels == made.channels
-    assert found.runs == made.runs
-    assert found.excitations == made.excitations
+    assert (found.channels, found.runs, found.excitations) == (made.channels, made.runs, made.excitations)
     assert np.allclose(found.speeds, made.speeds, rtol=1e-12, atol=0)
     assert np.abs(found.displacement - made.displacement).max() < 1e-9 * np.abs(made.displacement).max()
 

@@ -12,7 +12,7 @@ import pytest
 from conftest import assert_says, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measured_files import Vectors, long, probes_config, table_config, vectors_of, wide
+from measured_files import PAIR, Vectors, long, probes_config, table_config, vectors_of, wide
 from reading import GRID, RPM, RUNS, long_table, notes, read, seen, wide_runs
 
 from benchmarks.machines import Machine, machine
@@ -54,8 +54,7 @@ def read_rows(rows: Mapping[str, np.ndarray]) -> VibrationDataset:
             wide(Vectors(EVERY[kept], {p: v[kept] for p, v in every.of.items()})).to_csv(path, index=False)
             weights = [{"node": e.node, "magnitude": e.magnitude, "phase": e.phase} for e in acting if e.run == name]
             runs.append({"name": name, "file": str(path), "unbalances": weights})
-        pair = {"columns": lambda name: {"amplitude": f"{name} amp", "phase": f"{name} ph"}}
-        return read(table_config(runs, probes=probes_config(PROBES, **pair)))
+        return read(table_config(runs, probes=probes_config(PROBES, **PAIR)))
 
 
 def identify(data: VibrationDataset) -> np.ndarray:
@@ -73,8 +72,7 @@ def test_readings_at_unequal_speeds_tell_the_coefficients() -> None:
     for rows in (dict.fromkeys(names, every), {name: every[r::3] for r, name in enumerate(names)}):
         data = read_rows(rows)
         assert data.n_readings == len(data.channels) * sum(map(len, rows.values()))
-        found = identify(data)
-        np.testing.assert_allclose(found[:, [0, 3, 4, 7]], [[2.4e7, 1.7e7, 9e3, 7e3]] * 2, rtol=1e-8)
+        np.testing.assert_allclose(identify(data)[:, [0, 3, 4, 7]], [[2.4e7, 1.7e7, 9e3, 7e3]] * 2, rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -97,8 +95,7 @@ def test_how_many_readings_each_run_has_is_said(tmp_path: Path) -> None:
     """Rows as they are, those of 0.03 % apart as one; or interpolated, each run within its range."""
     runs = wide_runs(tmp_path, two=seen(1.1, np.append(GRID[2:8] * 1.0003, 2900.0)))
     found = read(table_config(runs))
-    assert found.present.sum(axis=0).tolist() == [11, 7]
-    assert len(found.speeds) == 12
+    assert (found.present.sum(axis=0).tolist(), len(found.speeds)) == ([11, 7], 12)
     said = "not every run was measured at each of the 12 speeds: 'one' at 11, 'two' at 7; what is not there is left out"
     assert_says(notes(table_config(runs)), said)
     drawn = table_config(runs, speeds={"start_rpm": 600, "stop_rpm": 3600, "step_rpm": 100})

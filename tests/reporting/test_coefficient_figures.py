@@ -66,8 +66,9 @@ def test_one_letter_has_the_errors_below(drawn: list[Figure], tmp_path: Path) ->
     for line in errors:
         np.testing.assert_allclose(line.y, 100 * (1 - 1 / 1.02))
     draw_coefficients(tmp_path / "c.png", Coefficients(bearings, modelled, [["kxx"], ["kyy"]]), "c")
-    titles = [panel.title for panel in drawn[1].panels]
-    assert titles == [f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")]
+    assert [panel.title for panel in drawn[1].panels] == [
+        f"{name}, node {node}, known" for node in (0, 5) for name in ("cxx", "cyy")
+    ]
 
 
 @pytest.mark.parametrize("lost", [slice(0, 3), slice(None)])
@@ -84,18 +85,15 @@ def test_where_a_coefficient_is_not_determined_its_band_is_drawn_alone(lost: sli
 def test_of_many_states_some_are_drawn_the_first_and_last_among_them() -> None:
     celsius = np.repeat(np.arange(20.0, 60.0, 2.0), 2)
     states = pick_states(np.tile([1.0, 2.0], 20), {"oil_temperature": celsius + 273.15})
-    assert len(states) == 8
-    assert states[0][0] == "20 degC"
-    assert states[-1][0] == "58 degC"
+    assert (len(states), states[0][0], states[-1][0]) == (8, "20 degC", "58 degC")
 
 
 @pytest.mark.slow
 def test_bode_plots_have_a_line_a_run_and_state_where_it_was_measured(drawn: list[Figure], tmp_path: Path) -> None:
     data = warm_machine()[0].dataset
-    channels = tuple((node, angle) for node in (0, 5) for angle in (0.0, 90.0))
     present = np.ones((len(data.speeds), 2), dtype=bool)
     present[: len(SPEEDS), 1] = False  # the second run was not made at 45 degC
-    data = replace(data, channels=channels, present=present)
+    data = replace(data, channels=((0, 0.0), (0, 90.0), (5, 0.0), (5, 90.0)), present=present)
     draw_bode(tmp_path / "bode.png", data, None, {"left": (0, 30.0)})
     above = lines_of(drawn[0])
     assert [line.label for line in above] == [

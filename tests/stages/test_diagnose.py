@@ -42,9 +42,8 @@ def test_one_temperature_leaves_the_slope_and_names_the_next_step(
 ) -> None:
     config = composed(*machine("[45 degC]", load="{guess: 525 N}"))
     run("diagnose", config, tmp_path)
-    said = " ".join(capsys.readouterr().out.split())
     assert_says(
-        said,
+        " ".join(capsys.readouterr().out.split()),
         "these data do not tell oil.slope: give it as a known number",
         "5.static_load together: give one of them as a known number",
     )

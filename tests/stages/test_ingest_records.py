@@ -37,8 +37,7 @@ def test_the_files_and_the_words(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(set(dataset.conditions or ())) == 68
     assert abs(dataset.frequencies / dataset.speeds[:, None] - 1).max() < 0.01
     cross = {node: ("kxy", "kyx", "cxy", "cyx") for node in (2, 26)}
-    known = read_coefficients(tmp_path / "known_coefficients.csv", (2, 26), dataset.speeds, cross)
-    assert not known.values.any()
+    assert not read_coefficients(tmp_path / "known_coefficients.csv", (2, 26), dataset.speeds, cross).values.any()
 
 
 def test_weights_on_a_node_that_the_rotor_lacks(tmp_path: Path) -> None:

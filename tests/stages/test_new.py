@@ -57,11 +57,13 @@ def test_a_template_composes(bearings: str, data: str, supports: str, probes: st
     assert max(map(len, text.splitlines())) <= 120
     assert text.startswith("# ")
     config = compose_config([given_by(path)])
-    assert config.identify.unknowns == UNKNOWNS[bearings]
+    assert (config.name, config.identify.unknowns, config.loss.noise) == (
+        "rig_2",
+        UNKNOWNS[bearings],
+        "stated" if data == "simulated" else "estimated",
+    )
     assert (config.machine.recordings.format == "none") == (data in ("simulated", "processed"))
     assert (config.data.vibration is not None) == (data == "processed")
-    assert config.loss.noise == ("stated" if data == "simulated" else "estimated")
-    assert config.name == "rig_2"
     ground = {"none": (0, 0), "pedestals": (2, 0), "base": (0, 2)}
     assert (len(config.machine.rotor.supports), len(config.machine.rotor.base.points)) == ground[supports]
     listed = config.machine.probes.at if data == "simulated" else config.machine.recordings.probes.values()
@@ -187,9 +189,8 @@ PROBES = ("DE_left", "DE_right", "NDE_left", "NDE_right")
 @pytest.mark.parametrize("kind", ["csv", "groups", "workbook"])
 def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three edited lines, and vibration as by the machine file that somebody wrote by hand for the same runs."""
-    source = write_log(folder, kind)
     rotor = f"machine.rotor.file='{EXAMPLE / 'rotor.toml'}'"
-    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{source}'", rotor)
+    path = made_by_new(folder / "rig.yaml", "new.bearings=rolling", f"new.from='{write_log(folder, kind)}'", rotor)
     assert ("cp1252, ';' between fields, decimal commas" in capsys.readouterr().out) == (kind != "workbook")
     with refused("unbalances must be given, but is ???: write it in place of the ???", kind=ConfigError):
         compose_config([given_by(path)])
@@ -222,10 +223,10 @@ def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
     pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
     kind, guesses = recognize_recordings(tmp_path / "a.csv", tmp_path)
     said = {key: guesses[key] for key in ("length", "amplitude", "phase", "phase_unit", "speed", "speeds", "baseline")}
-    unknown = dict.fromkeys(("length", "amplitude", "phase", "phase_unit"), "???")
     assert (kind, said) == (
         "tables",
-        unknown | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}", "baseline": '"???"'},
+        dict.fromkeys(("length", "amplitude", "phase", "phase_unit"), "???")
+        | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}", "baseline": '"???"'},
     )
     assert '"A": {node: 1, angle: 45 deg, columns: {amplitude: "A Amp", phase: "A Phase"}}' in guesses["probes"]
     assert "note" not in guesses["probes"]
@@ -264,5 +265,4 @@ def test_signals_of_any_format_fill_the_machine_file(ending: str, folder: Path) 
     loaded = recordings.load(recordings.runs[-1], Path(recordings.runs[-1].file))
     assert [run.name for run in recordings.runs] == ["as_found", "first"]
     np.testing.assert_allclose(loaded.time, TIME, atol=1e-6)
-    first = list(loaded.signals.values())[:2]
-    np.testing.assert_allclose(first, [SIGNALS["DE_left"], SIGNALS["DE_right"]], atol=1e-6)
+    np.testing.assert_allclose([*loaded.signals.values()][:2], [*SIGNALS.values()][:2], atol=1e-6)

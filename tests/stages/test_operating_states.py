@@ -55,8 +55,7 @@ def test_a_condition_that_the_model_has_no_input_for_is_named() -> None:
     count = len(measurement.dataset.speeds)
     operating = {"oil_temperature": np.linspace(310.0, 330.0, count), "load": np.full(count, 500.0)}
     warm = replace(measurement, dataset=replace(measurement.dataset, operating=operating))
-    assert list_idle("constant", warm) == ["oil_temperature"]
-    assert list_idle("network", warm) == []
+    assert (list_idle("constant", warm), list_idle("network", warm)) == (["oil_temperature"], [])
 
 
 def test_a_machine_without_conditions_is_the_machine_that_it_was() -> None:
@@ -94,8 +93,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_fit_reads_points_runs_and_known_coefficients_of_own_files(own: Path) -> None:
     files = [f"data.{name}={own / file}" for name, file in (("vibration", "vibration.parquet"), ("known", "known.csv"))]
     found = load_measurement(composed(*BASE, *files, f"data.excitation={own / 'excitation.csv'}"))
-    assert not found.dataset.complete
-    assert found.known.operating.keys() == {"oil_temperature", "load"}
+    assert (found.dataset.complete, found.known.operating.keys()) == (False, {"oil_temperature", "load"})
     absent = ~found.dataset.present[:, 0]
     assert (found.dataset.operating["load"][absent] == 700.0).all()
     assert np.isinf(found.deviation[absent, :, 0]).all()

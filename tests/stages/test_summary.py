@@ -63,8 +63,7 @@ def test_the_screen_says_what_an_engineer_asks(experiment: str, folder: Path) ->
     rows = [line.split(",")[0].split()[2] for line in text.splitlines() if line.startswith("  node ")]
     assert sorted(rows) == sorted(2 * config.identify.named())
     stated = config.loss.kind == "response"
-    assert ("+- one standard deviation" in text) == stated
-    assert ("chi-square" in text) == stated
+    assert ("+- one standard deviation" in text, "chi-square" in text) == (stated, stated)
     assert ("held-out run both_discs predicted" in text) == (experiment == "measured_demo")
 
 
@@ -85,8 +84,9 @@ def test_critically_damped_speeds_stand_apart() -> None:
     modes = {}
     for rpm, decrement in ((980.0, 10.0), (2362.1, 0.42)):
         factor, _ = amplify(decrement) or (None, 0.0)
-        margin = {"separation_margin_required_percent": require_separation(factor, above=True)}
-        modes[str(rpm)] = margin | {"rpm": rpm, "logarithmic_decrement": decrement, "rpm_std": 5.0}
+        modes[str(rpm)] = {"rpm": rpm, "logarithmic_decrement": decrement, "rpm_std": 5.0} | {
+            "separation_margin_required_percent": require_separation(factor, above=True)
+        }
     assert list_critical_speeds(fit, {"critical_speeds": modes}) == (
         "2362.1 +- 5.0 rpm (logarithmic decrement 0.42), between 600 and 3000 rpm; "
         "critically damped (amplification factor below 2.5): 980.0 +- 5.0 rpm"

@@ -60,7 +60,7 @@ def watched() -> Iterator[list[Any]]:
 
 @dataclass(frozen=True)
 class Trained:
-    """An experiment trained as usual, the truth in its folder, and what robustness trained."""
+    """An experiment trained as usual, its folder with the truth, not to be written to, and what robustness trained."""
 
     folder: Path
     batch: Any
@@ -75,12 +75,6 @@ def honest(run: Run, config: Config, tmp_path_factory: pytest.TempPathFactory) -
             run(stage, config, folder)
     (batch,) = batches
     return Trained(folder, batch)
-
-
-@pytest.fixture
-def trained(honest: Trained) -> Path:
-    """The folder of the experiment trained as usual; not to be written to."""
-    return honest.folder
 
 
 def _other_numbers(path: Path) -> None:
@@ -113,15 +107,15 @@ def _lie(of: Path, lie: str, folder: Path) -> Path:
 
 
 @pytest.fixture(params=LIES)
-def lied(request: pytest.FixtureRequest, trained: Path, tmp_path: Path) -> Path:
-    """The data of ``trained`` with another truth, or none, and no answer yet."""
-    return _lie(trained, request.param, tmp_path / "lied")
+def lied(request: pytest.FixtureRequest, honest: Trained, tmp_path: Path) -> Path:
+    """The data of ``honest`` with another truth, or none, and no answer yet."""
+    return _lie(honest.folder, request.param, tmp_path / "lied")
 
 
-def test_training_gives_the_same_bits_with_any_truth(run: Run, config: Config, trained: Path, lied: Path) -> None:
+def test_training_gives_the_same_bits_with_any_truth(run: Run, config: Config, honest: Trained, lied: Path) -> None:
     """Coefficients, model, account and history are the same whatever the truth says, or without it."""
     run("train", config, lied)
-    assert [name for name in ANSWER if (lied / name).read_bytes() != (trained / name).read_bytes()] == []
+    assert [name for name in ANSWER if (lied / name).read_bytes() != (honest.folder / name).read_bytes()] == []
 
 
 def test_robustness_ends_at_the_same_bits_with_any_truth(run: Run, config: Config, honest: Trained, lied: Path) -> None:
@@ -130,8 +124,7 @@ def test_robustness_ends_at_the_same_bits_with_any_truth(run: Run, config: Confi
         run("robustness", config, lied)
     (batch,) = batches
     assert batch.parameters.numpy().tobytes() == honest.batch.parameters.numpy().tobytes()
-    assert batch.loss.tobytes() == honest.batch.loss.tobytes()
-    assert batch.outcomes == honest.batch.outcomes
+    assert (batch.loss.tobytes(), batch.outcomes) == (honest.batch.loss.tobytes(), honest.batch.outcomes)
     if (lied / "robustness.csv").exists():
         told, lie = (pd.read_csv(folder / "robustness.csv") for folder in (honest.folder, lied))
         same = [name for name in told if not name.endswith("_error_percent")]
@@ -139,26 +132,26 @@ def test_robustness_ends_at_the_same_bits_with_any_truth(run: Run, config: Confi
         assert not np.array_equal(told["mean_error_percent"], lie["mean_error_percent"])
 
 
-def test_known_coefficients_hold_no_unknown(config: Config, trained: Path) -> None:
-    columns = list(pd.read_csv(trained / "known_coefficients.csv"))
+def test_known_coefficients_hold_no_unknown(config: Config, honest: Trained) -> None:
+    columns = list(pd.read_csv(honest.folder / "known_coefficients.csv"))
     assert columns == ["bearing_node", "speed_rpm", *known_names(config)]
     assert not set(columns) & set(config.identify.unknowns)
 
 
 def test_what_training_is_given_holds_no_unknown(
-    run: Run, config: Config, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, config: Config, honest: Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The known table that reaches the equations is zero where a coefficient is unknown."""
 
     seen: list[Measurement] = []
     real = train.prepare
     monkeypatch.setattr(train, "prepare", lambda given: seen.append(real(given)) or seen[-1])
-    run("train", config, Path(shutil.copytree(trained, tmp_path / "x")))
+    run("train", config, Path(shutil.copytree(honest.folder, tmp_path / "x")))
     (measurement,) = seen
     for name in config.identify.unknowns:
         assert not measurement.known.coefficient(name).any()
     truth = read_coefficients(
-        trained / "modelled_coefficients.csv", measurement.rotor.bearing_nodes, measurement.dataset.speeds
+        honest.folder / "modelled_coefficients.csv", measurement.rotor.bearing_nodes, measurement.dataset.speeds
     )
     for name in known_names(config):
         np.testing.assert_array_equal(measurement.known.coefficient(name), truth.coefficient(name))
@@ -192,7 +185,7 @@ def _names(paths: list[str]) -> set[str]:
 
 
 def test_robustness_opens_the_truth_after_training(
-    run: Run, config: Config, trained: Path, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    run: Run, config: Config, honest: Trained, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The errors of robustness need the truth: it is opened when the last step is done, not before."""
     at_the_end: list[bool] = []
@@ -204,7 +197,7 @@ def test_robustness_opens_the_truth_after_training(
         return batch
 
     monkeypatch.setattr(robustness, "minimise", spy)
-    folder = Path(shutil.copytree(trained, tmp_path / "x"))
+    folder = Path(shutil.copytree(honest.folder, tmp_path / "x"))
     opened.clear()
     run("robustness", config, folder)
     assert at_the_end == [False]

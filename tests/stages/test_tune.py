@@ -121,8 +121,7 @@ def test_the_dashboard_has_the_study(dashboard: Data, studied: Studied) -> None:
     (summary,) = dashboard("studies")["study_summaries"]
     assert (summary["study_name"], summary["directions"]) == ("ball_bearing", ["minimize"])
     detail = dashboard(f"studies/{summary['study_id']}")
-    assert detail["objective_names"] == ["log10 of the held-out loss"]
-    assert detail["has_intermediate_values"]
+    assert (detail["objective_names"], detail["has_intermediate_values"]) == (["log10 of the held-out loss"], True)
     assert detail["note"]["body"].startswith("**Question:** which hyperparameters identify kxx, kyy of `ball_bearing`")
     assert "python -m pipeline stage=tune experiment=ball_bearing" in detail["note"]["body"]
     assert {part["name"] for part in detail["union_search_space"]} <= set(studied.config.tuning.space)
@@ -133,8 +132,7 @@ def test_the_dashboard_has_the_study(dashboard: Data, studied: Studied) -> None:
             name: str(value) for name, value in trial.params.items()
         }
         assert {v["step"]: v["value"] for v in shown["intermediate_values"]} == trial.intermediate_values
-        attributes = {a["key"] for a in shown["user_attrs"]}
-        assert {"outcome", "epochs", "held_out_loss", "training_seconds"} <= attributes
+        assert {"outcome", "epochs", "held_out_loss", "training_seconds"} <= {a["key"] for a in shown["user_attrs"]}
     (default,) = (a["value"] for a in detail["trials"][0]["user_attrs"] if a["key"] == "note")
     assert default == "the configured default"
 
@@ -160,14 +158,13 @@ def test_mlflow_has_the_trials_below_the_study(client: Any, studied: Studied) ->
     for trial in trials:
         run = by_name[f"trial {trial.number}"]
         assert run.data.params == {name: str(value) for name, value in trial.params.items()}
-        assert run.data.tags["state"] == trial.state.name.lower()
-        assert run.data.tags["outcome"] == trial.user_attrs["outcome"]
+        tags = (run.info.status, run.data.tags["state"], run.data.tags["outcome"])
+        assert tags == ("FINISHED", trial.state.name.lower(), trial.user_attrs["outcome"])
         for name in ("held_out_loss", "training_seconds", "epochs"):
             assert run.data.metrics[name] == pytest.approx(trial.user_attrs[name], rel=1e-9)
             assert len(client.get_metric_history(run.info.run_id, name)) == 1, "no point of a curve"
         curve = {m.step: m.value for m in client.get_metric_history(run.info.run_id, "learning_curve")}
         assert curve == pytest.approx({step: 10**value for step, value in trial.intermediate_values.items()})
-        assert run.info.status == "FINISHED"
         assert run.info.start_time == round(1000 * trial.datetime_start.timestamp())
         assert parent.info.start_time <= run.info.start_time <= run.info.end_time <= parent.info.end_time
 
@@ -176,16 +173,18 @@ def test_mlflow_has_the_report_of_the_study(client: Any, studied: Studied) -> No
     """The run ``tune``: what was promoted and counted, the configuration, figures, tables and the report."""
     experiment = client.get_experiment_by_name("ball_bearing").experiment_id
     (parent,) = client.search_runs([experiment], "attributes.run_name LIKE 'tune ball_bearing %'")
-    assert parent.info.status == "FINISHED"
-    assert parent.data.tags["study"] == "ball_bearing"
-    assert parent.data.params["tuning.sampler"] == "tpe"
+    assert (parent.info.status, parent.data.tags["study"], parent.data.params["tuning.sampler"]) == (
+        "FINISHED",
+        "ball_bearing",
+        "tpe",
+    )
     states = [trial.state.name.lower() for trial in studied.study.get_trials()]
     for state in set(states):
         assert parent.data.metrics[f"trials.{state}"] == states.count(state)
     assert parent.data.metrics["promoted_trial"] in range(10)
     files = {item.path for folder in ("figures", "files") for item in client.list_artifacts(parent.info.run_id, folder)}
     figures = ("history", "slice", "parallel_coordinates", "learning_curves", "finalists")
-    assert {f"figures/{name}.png" for name in figures} <= files
-    assert {"files/README.md", "files/trials.csv", "files/finalists.csv", "files/best.yaml"} <= files
+    tables = {"files/README.md", "files/trials.csv", "files/finalists.csv", "files/best.yaml"}
+    assert tables | {f"figures/{name}.png" for name in figures} <= files
     kept = Path(client.download_artifacts(parent.info.run_id, "figures/history.png"))
     assert kept.read_bytes() == (Path(studied.config.tuning.folder) / "figures" / "history.png").read_bytes()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from measured_files import Vectors, table_config, wide
+from measured_files import PAIR, Vectors, probes_config, table_config, wide
 from running import composed
 
 from pipeline.config.compose import compose_mapping, validate
@@ -41,8 +41,7 @@ def record(folder: Path) -> Config:
         bearings = load_modelled_bearings(
             machine.rotor, machine.bearings, speeds, {"oil_temperature": celsius + 273.15}
         )
-        own = tuple(one for one in acting if one.run == run.name)
-        seen = simulate(rotor, replace(bearings, operating={}), own)
+        seen = simulate(rotor, replace(bearings, operating={}), tuple(one for one in acting if one.run == run.name))
         seen = measure(seen, configure_sensors(config, rotor), np.random.default_rng(r))
         of = {name: seen.displacement[:, seen.channels.index(place), 0] for name, place in probes.items()}
         wide(Vectors(RPM, of)).to_csv(folder / f"{run.name}.csv", index=False)
@@ -50,12 +49,7 @@ def record(folder: Path) -> Config:
         weights = [{"node": u.node, "magnitude": u.magnitude, "phase": u.phase} for u in run.unbalances]
         runs.append({"name": run.name, "file": str(folder / f"{run.name}.csv"), "unbalances": weights})
     pd.concat(log).to_csv(folder / "oil.csv", index=False)
-    columns = {name: {"amplitude": f"{name} amp", "phase": f"{name} ph"} for name in probes}
-    places = {
-        name: {"node": node, "angle": f"{angle} deg", "columns": columns[name]}
-        for name, (node, angle) in probes.items()
-    }
-    mapping = compose_mapping([*OVERRIDES, f"output={folder / 'out'}"])
+    mapping, places = compose_mapping([*OVERRIDES, f"output={folder / 'out'}"]), probes_config(probes, **PAIR)
     mapping["machine"]["recordings"] = table_config(runs, probes=places, conditions_file=str(folder / "oil.csv"))
     return validate(mapping)
 

@@ -46,8 +46,7 @@ def integrated(damping: float, rate: float, first: float, last: float) -> tuple[
 def test_the_closed_form_is_a_time_integration(damping: float, rate: float, first: float, last: float) -> None:
     """To 1e-7 of the largest, once the start has died away."""
     speeds, found = integrated(damping, rate, first, last)
-    closed = respond_to_ramp(FREQUENCY, damping, speeds, rate)
-    assert np.abs(closed - found)[60:].max() < 1e-7 * np.abs(found).max()
+    assert np.abs(respond_to_ramp(FREQUENCY, damping, speeds, rate) - found)[60:].max() < 1e-7 * np.abs(found).max()
 
 
 @given(damping=st.floats(0.005, 0.3), sign=st.sampled_from([-1.0, 1.0]))
@@ -55,9 +54,7 @@ def test_a_slow_sweep_is_steady(damping: float, sign: float) -> None:
     """The error falls with the rate: a tenth of it leaves a tenth."""
     speeds = np.linspace(40, 400, 60)
     steady = respond_steadily(FREQUENCY, damping, speeds)
-    gaps = []
-    for rate in (1e-3, 1e-4):
-        gaps.append(np.abs(respond_to_ramp(FREQUENCY, damping, speeds, sign * rate) - steady).max())
+    gaps = [np.abs(respond_to_ramp(FREQUENCY, damping, speeds, sign * a) - steady).max() for a in (1e-3, 1e-4)]
     assert gaps[0] < 2e-6 / damping**3 * np.abs(steady).max()
     assert gaps[1] == pytest.approx(0.1 * gaps[0], rel=0.05)
     assert respond_to_ramp(FREQUENCY, damping, speeds, 0.0) == pytest.approx(steady, rel=1e-9)
@@ -74,10 +71,12 @@ def test_time_has_no_unit(damping: float, factor: float, rate: float) -> None:
 
 def test_a_reading_of_a_steady_peak_is_the_mode() -> None:
     found = read_ramp(FREQUENCY, 0.01, 0.0)
-    assert found.frequency == pytest.approx(FREQUENCY, rel=2e-4)
-    assert found.damping == pytest.approx(0.01, rel=2e-3)
-    assert found.amplification == pytest.approx(50, rel=2e-3)
-    assert found.amplitude == pytest.approx(50, rel=2e-3)
+    assert (found.frequency, found.damping, found.amplification, found.amplitude) == (
+        pytest.approx(FREQUENCY, rel=2e-4),
+        pytest.approx(0.01, rel=2e-3),
+        pytest.approx(50, rel=2e-3),
+        pytest.approx(50, rel=2e-3),
+    )
 
 
 @pytest.mark.parametrize(("frequency", "damping", "step"), [(400.0, 0.02, 1), (400.0, 0.02, -1), (200.0, 0.5, 1)])
@@ -90,8 +89,7 @@ def test_a_peak_without_two_sides_is_not_read(frequency: float, damping: float, 
 @pytest.mark.parametrize("rate", [-229.0, 40.0, 229.0])
 def test_the_mode_is_found_back_from_its_swept_reading(rate: float) -> None:
     frequency, damping = find_mode(read_ramp(1590 * RPM, 0.02, rate * RPM), rate * RPM)
-    assert frequency / RPM == pytest.approx(1590, rel=1e-4)
-    assert damping == pytest.approx(0.02, rel=5e-3)
+    assert (frequency / RPM, damping) == (pytest.approx(1590, rel=1e-4), pytest.approx(0.02, rel=5e-3))
 
 
 def test_at_the_slow_rate_the_peak_lags_by_the_share() -> None:
