@@ -92,7 +92,6 @@ def uff_set(
     x: np.ndarray, values: np.ndarray, node: int, direction: int, texts: Sequence[str] = (), **changes: Any
 ) -> dict[str, Any]:
     """A dataset 58 for pyuff."""
-    ids = {f"id{i + 1}": text for i, text in enumerate(texts)}
     return (
         {
             "type": 58,
@@ -109,7 +108,7 @@ def uff_set(
             "ordinate_spec_data_type": 8,
             "orddenom_spec_data_type": 0,
         }
-        | ids
+        | {f"id{i + 1}": text for i, text in enumerate(texts)}
         | changes
     )
 

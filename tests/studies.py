@@ -269,8 +269,7 @@ class Runner:
 
     def workers(self) -> list[psutil.Process]:
         """The processes that it started to work beside it."""
-        children = psutil.Process(self.pid).children()
-        return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        return [child for child in psutil.Process(self.pid).children() if "spawn_main" in " ".join(child.cmdline())]
 
     def halt(self) -> int:
         """Wait until it halts in its first trial, and return that trial's number."""

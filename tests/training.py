@@ -145,9 +145,8 @@ def a_model(
     members: int = 2,
 ) -> CoefficientModel:
     """A small model; depth None for constants."""
-    names = ("kxx", "kyy", "cxx", "cyy")[:unknowns]
     return CoefficientModel(
-        unknowns=names,
+        unknowns=("kxx", "kyy", "cxx", "cyy")[:unknowns],
         inputs=("speed",),
         parametrisation=parametrisation,
         scale=tuple(tuple(10.0 ** (6 + u + m) for u in range(unknowns)) for m in range(members)),

@@ -58,8 +58,7 @@ def nothing(done: int, total: int, result: Result) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small comparison, as the command makes it."""
     folder = tmp_path_factory.mktemp("a comparison") / "x"
-    arguments = ["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]
-    assert main(arguments) == 0
+    assert main(["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
     return folder
 
 
@@ -262,10 +261,9 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
     offset = residual_sensitivity(own.rotor, own.dataset, own.table(np.zeros((2, 12, 2))))
     step = np.zeros_like(own.dataset.displacement)
     step[:, 2, 1] = 1e-6 * (1 + 2j)
-    moved = replace(own.dataset, displacement=own.dataset.displacement + step)
     before, after = (
         linear_residual(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
-        for dataset in (own.dataset, moved)
+        for dataset in (own.dataset, replace(own.dataset, displacement=own.dataset.displacement + step))
     )
 
     def complex_rows(values: np.ndarray) -> np.ndarray:

@@ -139,8 +139,7 @@ def test_a_run_that_was_not_measured_at_a_point_says_nothing_there() -> None:
     shown = torch.as_tensor(present)[:, None].expand(every.shape)
     assert (rest[~shown] == 0).all()
     assert (rest[shown].abs() > 0).all()
-    found = fit(less, setup("law"))
-    for name, (value, deviation) in numbers(found).items():
+    for name, (value, deviation) in numbers(fit(less, setup("law"))).items():
         assert abs(value - TRUE[name]) < 4 * deviation, name
 
 

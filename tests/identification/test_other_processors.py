@@ -95,10 +95,9 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
 
 def _run(program: str, kernels: dict[str, str], *arguments: str) -> str:
     root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests:{root}/tests/identification"} | kernels
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
-        env=environment,
+        env=os.environ | {"PYTHONPATH": f"{root}:{root}/tests:{root}/tests/identification"} | kernels,
         cwd=root,
         capture_output=True,
         text=True,

@@ -176,8 +176,7 @@ def test_loss_never_ends_above_its_start(chain: str, hydrostatic: Machine) -> No
     setup = setup_of(hydrostatic, OptimizerConfig(**parts))
     prepared = prepare_residual(asked(hydrostatic), setup)
     start = initial_parameters(prepared, setup, 0)
-    batch = minimised(prepared, start, setup)
-    assert batch.loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt())
+    assert minimised(prepared, start, setup).loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt())
 
 
 def drawn(model: CoefficientModel, generator: torch.Generator) -> IdentifiedModel:

@@ -49,8 +49,7 @@ def test_factors_of_records_are_eliminated_and_those_of_labels_are_told() -> Non
     fit = fit_output_error(measurement, setup_of(composed(*FITTED)))
     quality, answer = output_error_quality(fit), conclude(fit)
     assert quality.misfit == pytest.approx(1.0, abs=0.15)
-    truth = [0.0, np.log(1.1), 0.0, 0.1]
-    for number, true in zip(answer.parameters, truth, strict=True):
+    for number, true in zip(answer.parameters, [0.0, np.log(1.1), 0.0, 0.1], strict=True):
         assert abs(0.2 * number.value - true) < 3.5 * 0.2 * number.left, number.name
         assert number.left < 0.5
     direct = fit.identified.table(bearings).values[..., [0, 3]]

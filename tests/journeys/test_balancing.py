@@ -105,12 +105,11 @@ def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path, monkeypatch
     fast = _write(tmp_path / "fast.csv", [r | {"rpm": "1400"} for r in rows])
     without = _write(tmp_path / "without.csv", [{k: v for k, v in r.items() if k != "condition"} for r in rows])
     bare = _write(tmp_path / "bare.csv", rows, "plane")
-    loose = _write(tmp_path / "loose.csv", rows, "U")
     for stage, key, file, words in (
         ("predict", "predict.records", fast, "within 1 % of those that influence coefficients are known at"),
         ("balance", "balance.records", without, "column 'condition'"),
         ("balance", "balance.records", bare, "vibration of at least one probe"),
-        ("predict", "predict.records", loose, "weights of every plane"),
+        ("predict", "predict.records", _write(tmp_path / "loose.csv", rows, "U"), "weights of every plane"),
         ("predict", "predict.records", tmp_path / "none.csv", "no such file"),
     ):
         with pytest.raises(DataError, match=words):

@@ -196,12 +196,11 @@ def test_tables_have_the_columns_that_others_rely_on(kept: Kept) -> None:
     assert len(vibration) == len(config.machine.runs) * len(speeds) * states * n_nodes * 2
     excitation = pd.read_csv(folder / "excitation.csv")
     assert list(excitation) == ["run", "kind", "node", "magnitude", "phase_deg", "whirl"]
-    known = ["bearing_node", "speed_rpm", *at, *known_names(config)]
     for name, columns in {
         "modelled_coefficients": ["bearing_node", "speed_rpm", *at, *COEFFICIENTS],
         "identified_coefficients": identified_columns(config),
         "least_squares_coefficients": ["bearing_node", "speed_rpm", *at, *COEFFICIENTS],
-        "known_coefficients": known,
+        "known_coefficients": ["bearing_node", "speed_rpm", *at, *known_names(config)],
     }.items():
         table = pd.read_csv(folder / f"{name}.csv")
         assert list(table) == columns

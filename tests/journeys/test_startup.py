@@ -224,7 +224,6 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     """Logged once, by the process beside or, where that was killed, by the command itself."""
 
     settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
-    history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
     record = StageRecord(
         {"error": 0.5},
         {"outcome": "converged"},
@@ -233,7 +232,7 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
         started=1.0,
         ended=2.0,
         parameters={"seed": 3},
-        history=history,
+        history=[{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}],
     )
     with recorder_beside(True):
         if killed:

@@ -64,8 +64,7 @@ def test_records_at_speeds_of_their_own_give_bearings_and_residual_unbalance_bac
     data = replace(made.dataset, runs=("a", "b", "c"), excitations=(*weights, *residual), present=present)
     read = project(simulate(made.rotor, bearings, data.excitations), data.channels).displacement * present[:, None]
     data = replace(data, displacement=read, excitations=tuple(weights))
-    unknowns = replace(made.unknowns, planes=(2,))
-    less = replace(made, dataset=data, unknowns=unknowns, noise=NoiseModel(1e-13, 1e-8))
+    less = replace(made, dataset=data, unknowns=replace(made.unknowns, planes=(2,)), noise=NoiseModel(1e-13, 1e-8))
     answer = fit(less, default_setup(less.guess, constant=True))
     np.testing.assert_allclose(
         answer.table(bearings).values[..., [0, 3, 4, 7]], bearings.values[..., [0, 3, 4, 7]], rtol=1e-7

@@ -58,7 +58,6 @@ def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
     np.testing.assert_allclose(values, table.values, rtol=1e-8, atol=1e-9 * size)
     for warm, load in ((313.0, 700.0), (333.0, 2000.0)):
         at = (STATES["oil_temperature"] == warm) & (STATES["load"] == load)
-        viscosity = 0.03 * np.exp(900 / (warm - 178.15) - 900 / 135.0)
         theirs = ross().CylindricalBearing(
             n=0,
             speed=SPEEDS[at],
@@ -66,7 +65,7 @@ def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
             bearing_length=0.0499,
             journal_diameter=0.0998,
             radial_clearance=1e-4,
-            oil_viscosity=viscosity,
+            oil_viscosity=0.03 * np.exp(900 / (warm - 178.15) - 900 / 135.0),
         )
         listed = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)
         np.testing.assert_allclose(table.values[1, at], listed, rtol=1e-7, atol=1e-9 * size)

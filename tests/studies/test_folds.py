@@ -30,10 +30,9 @@ def conditions_of(rng: np.random.Generator, n: int) -> Conditions:
 def as_dataset(conditions: Conditions) -> VibrationDataset:
     """Two equal records a condition."""
     runs = tuple(f"{name}.{k}" for name in conditions.names for k in (1, 2))
-    unbalance = np.repeat(conditions.unbalance, 2, axis=0)
     excitations = tuple(
         Excitation(run, "unbalance", node, float(abs(u)), float(np.angle(u)))
-        for run, row in zip(runs, unbalance, strict=True)
+        for run, row in zip(runs, np.repeat(conditions.unbalance, 2, axis=0), strict=True)
         for node, u in zip(conditions.planes, row, strict=True)
         if u
     )

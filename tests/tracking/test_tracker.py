@@ -242,8 +242,7 @@ def test_unreachable_server(uri: str) -> None:
 @pytest.mark.usefixtures("quiet")
 def test_server_that_never_answers() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
-        (problem,) = track(record(), at(uri, timeout_seconds=1.0))
+        (problem,) = track(record(), at(f"http://127.0.0.1:{server.getsockname()[1]}", timeout_seconds=1.0))
     assert "no answer within 1 s" in problem
 
 

@@ -159,8 +159,7 @@ def study(tmp_path: Path) -> Path:
     folder = tmp_path / "a study"
     folder.mkdir()
     values = {"model.width": 17, "model.activation": "silu", "training.tolerance": 0.03}
-    losses = {"configured": 0.07, "promoted": 1.4e-7}
-    best = {"study": "x", "trial": 5, "values": values, "held_out_loss": losses}
+    best = {"study": "x", "trial": 5, "values": values, "held_out_loss": {"configured": 0.07, "promoted": 1.4e-7}}
     (folder / "best.yaml").write_text(yaml.safe_dump(best))
     return folder
 

@@ -388,8 +388,7 @@ def test_the_command_line_goes_on_where_it_was_interrupted(
     # The last trials may be quicker than the signal; 130 and the sentence say that it was taken.
     assert 2 <= len(before) <= TRIALS
     monkeypatch.chdir(tmp_path)
-    arguments = command[command.index("stage=tune") :]
-    assert main(arguments) == 0
+    assert main(command[command.index("stage=tune") :]) == 0
     out = capsys.readouterr().out
     assert re.search(rf"{TRIALS} trials in", out)
     assert "optuna-dashboard sqlite:///studies.db" in " ".join(out.split())

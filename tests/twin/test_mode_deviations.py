@@ -144,8 +144,7 @@ def test_intervals_of_critical_speeds_hold(rolling: Machine) -> None:
                     abs(there.logarithmic_decrement - one.logarithmic_decrement) < 1.96 * decrement,
                 ]
             )
-    share = np.mean(inside, axis=0)
-    np.testing.assert_allclose(share, 0.95, atol=0.033)
+    np.testing.assert_allclose(np.mean(inside, axis=0), 0.95, atol=0.033)
 
 
 def test_a_critical_speed_follows_its_stiffness(rolling: Machine) -> None:

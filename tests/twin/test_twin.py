@@ -79,11 +79,10 @@ def test_modes_equal_those_of_ross(name: str, request: pytest.FixtureRequest) ->
 
 def rigid_rotor() -> RotorModel:
     """A thick short shaft with a disc in the middle: on soft bearings it moves as a rigid body."""
-    disc = {"node": 1, "mass": 50.0, "diametral_inertia": 0.05, "polar_inertia": 0.06}
     config = {
         "shaft": [{"length": 0.4, "outer_diameter": 0.1, "elements": 2}],
         "material": STEEL,
-        "discs": [disc],
+        "discs": [{"node": 1, "mass": 50.0, "diametral_inertia": 0.05, "polar_inertia": 0.06}],
         "bearing_nodes": [0, 2],
     }
     return assemble(RotorConfig.model_validate(config))
