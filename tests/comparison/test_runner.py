@@ -230,8 +230,7 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
         row("response", 0.0, 0.1),
     )
     made = Comparison(rows, main_one, ("kxx",))
-    assert made.error("response", main_one) == 2.0
-    assert made.cell("multi_frequency", main_one) == "one frequency"
+    assert (made.error("response", main_one), made.cell("multi_frequency", main_one)) == (2.0, "one frequency")
     assert made.cell("kriging", main_one) == "0.5 ?"
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
     assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]

@@ -73,8 +73,7 @@ def test_a_stage_may_compose_while_it_runs(
     monkeypatch.setattr(
         "pipeline.stages.run_stages", lambda configs: print(configs[0].seed, compose_config(["seed=9"]).seed)
     )
-    assert main(["seed=1"]) == 0
-    assert capsys.readouterr().out == "1 9\n"
+    assert (main(["seed=1"]), capsys.readouterr().out) == (0, "1 9\n")
 
 
 MISTAKES = [

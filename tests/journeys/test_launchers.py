@@ -70,8 +70,7 @@ def test_a_job_that_fails_is_named(tmp_path: Path) -> None:
     done = python("-m", "pipeline", "-m", "hydra/launcher=submitit_local", *given, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
-    assert "'seed=1'" in done.stderr
-    assert "what the jobs said is in 'artifacts/.multirun/.submitit'" in done.stderr
+    assert_says(done.stderr, "'seed=1'", "what the jobs said is in 'artifacts/.multirun/.submitit'")
     said = "".join(path.read_text() for path in (tmp_path / "artifacts/.multirun/.submitit").rglob("*.err"))
     assert_says(
         said,

@@ -110,8 +110,7 @@ def test_the_slope_wants_the_two_temperatures_that_lie_furthest_apart() -> None:
     """With the better run at both: its error of two viscosities over their distance."""
     one, two = plan_states(oils((False, True)), 1, 0.02)
     assert one.worst == pytest.approx(np.log(2.0), rel=0.05)  # at its prior
-    assert two.states == (0, 4)
-    assert two.runs == (1,)
+    assert (two.states, two.runs) == ((0, 4), (1,))
     assert two.worst == pytest.approx(np.hypot(1 / 200.0, 1 / 200.0) / (SLOPE * 30.0), rel=1e-3)
 
 

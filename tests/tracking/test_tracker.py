@@ -209,8 +209,7 @@ def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingCo
         f"MLflow does not have the file {tmp_path / 'gone.csv'}",
     ]
     run = Logged(settings).run
-    assert run.data.tags["good"] == "x"
-    assert run.info.status == "FINISHED"
+    assert (run.data.tags["good"], run.info.status) == ("x", "FINISHED")
 
 
 def test_interrupt_passes_through_and_marks_the_run(settings: TrackingConfig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,8 +273,7 @@ def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:
     path.parent.mkdir()
     spoil(path)
     (problem,) = track(record(), at(f"sqlite:///{path}"))
-    assert reason in problem
-    assert str(path) in problem
+    assert_says(problem, reason, str(path))
 
 
 def test_locked_database(settings: TrackingConfig) -> None:
@@ -424,8 +422,7 @@ def test_logged_model_says_what_it_is(settings: TrackingConfig, model_folder: Pa
     logged = Logged(settings)
     (output,) = logged.run.outputs.model_outputs
     model = logged.client.get_logged_model(output.model_id)
-    assert model.status == "READY"
-    assert model.params == {"seed": "3"}
+    assert (model.status, model.params) == ("READY", {"seed": "3"})
     assert [(metric.key, metric.value) for metric in model.metrics] == [("loss", 0.5)]
     artifacts = Path(model.artifact_location.removeprefix("file://").replace("%20", " "))
     description = Model.load(str(artifacts))

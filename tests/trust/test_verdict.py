@@ -61,8 +61,7 @@ def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
 
 def test_where_nothing_speaks_against_it_all_is_good() -> None:
     judged = record(gathered())
-    assert judged["machine"]["verdict"] == "good"
-    assert judged["machine"]["reservation"] == ""
+    assert (judged["machine"]["verdict"], judged["machine"]["reservation"]) == ("good", "")
     assert judged["bearings"][0]["reason"] == "8 of 8 coefficients are good."
 
 

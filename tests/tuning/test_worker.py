@@ -73,8 +73,7 @@ def stop_again_and_again(start: Forks, problem: StudyProblem, number: int, rng: 
 def test_a_study_that_is_undisturbed_has_trials_of_every_kind(undisturbed: Undisturbed, cheap: StudyProblem) -> None:
     """What the studies of this file are compared with: complete and pruned trials, all of them different."""
     trials = undisturbed()
-    assert len(trials) == TRIALS
-    assert trials[0][2] == find_default(cheap.config)
+    assert (len(trials), trials[0][2]) == (TRIALS, find_default(cheap.config))
     assert {state for _, state, *_ in trials} == {"COMPLETE", "PRUNED"}
     assert len({value for _, _, _, value, _, _ in trials}) == TRIALS
     assert all(curve for *_, curve, _ in trials)
@@ -244,8 +243,7 @@ def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Fork
     assert runner.end() == 0, runner.said
     assert "a worker ended with exit code -9; the others took over its trial" in runner.said
     (repeat,) = (other for other in trials_of(problem) if other.user_attrs.get(REPEATS) == trial.number)
-    assert repeat.state.name == "COMPLETE"
-    assert repeat.params == trial.params
+    assert (repeat.state.name, repeat.params) == ("COMPLETE", trial.params)
     assert trial.intermediate_values.items() <= repeat.intermediate_values.items()
     assert len(finished(problem)) == 3
     assert len(trials_of(problem)) == 4

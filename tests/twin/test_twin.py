@@ -229,8 +229,7 @@ def test_margin_says_where(hydrostatic: Machine) -> None:
 def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
     """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
     time, curve = sample_motion(np.array(amplitudes) * np.exp(1j * np.array(phases)), speed)
-    assert time[0] == 0
-    assert time[-1] == pytest.approx(2 * 2 * math.pi / speed)
+    assert (time[0], time[-1]) == (0, pytest.approx(2 * 2 * math.pi / speed))
     wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))
     np.testing.assert_allclose(curve, wanted, atol=1e-12)
     np.testing.assert_allclose(curve[-1], curve[0], atol=1e-12)
