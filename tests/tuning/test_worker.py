@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from running import names_in
 
 from pipeline.__main__ import main
@@ -147,9 +148,7 @@ def _reorder(problem: StudyProblem) -> StudyProblem:
 
 
 def _shorten(problem: StudyProblem) -> StudyProblem:
-    space = dict(problem.config.tuning.space)
-    del space["damping"]
-    return with_tuning(problem, space=space)
+    return with_tuning(problem, space={k: of for k, of in problem.config.tuning.space.items() if k != "damping"})
 
 
 def _with_optimizer(problem: StudyProblem) -> StudyProblem:
@@ -160,8 +159,7 @@ def _with_optimizer(problem: StudyProblem) -> StudyProblem:
 
 def _with_other_known(problem: StudyProblem) -> StudyProblem:
     known = problem.measurement.known
-    other = replace(problem.measurement, known=replace(known, values=known.values + 1.0))
-    return replace(problem, measurement=other)
+    return replace(problem, measurement=replace(problem.measurement, known=replace(known, values=known.values + 1.0)))
 
 
 CHANGES: dict[str, tuple[Callable[[StudyProblem], StudyProblem], list[str]]] = {
@@ -245,8 +243,7 @@ def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Fork
     (repeat,) = (other for other in trials_of(problem) if other.user_attrs.get(REPEATS) == trial.number)
     assert (repeat.state.name, repeat.params) == ("COMPLETE", trial.params)
     assert trial.intermediate_values.items() <= repeat.intermediate_values.items()
-    assert len(finished(problem)) == 3
-    assert len(trials_of(problem)) == 4
+    assert (len(finished(problem)), len(trials_of(problem))) == (3, 4)
 
 
 @pytest.mark.parametrize(("moment", "whole_group"), [("in a trial", True)])
@@ -262,9 +259,8 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
         os.killpg(runner.pid, signal.SIGINT)
     else:
         runner.signal(signal.SIGINT)
-    assert runner.end() == 130, runner.said
+    assert (runner.end(), runner.said) == (130, "")
     assert ended(workers)
-    assert runner.said == ""
     assert {trial.state.name for trial in trials_of(problem)} <= {"COMPLETE", "FAIL"}
 
 
@@ -287,18 +283,12 @@ def _raises(error: BaseException) -> Callable[[Any], Any]:
     return fail
 
 
-def _linear_algebra() -> Exception:
-    import torch
-
-    return torch.linalg.LinAlgError("linalg.solve: the matrix is singular")
-
-
-FAILURES: dict[str, tuple[Callable[[], Callable[[Any], Any]], str]] = {
-    "diverged": (lambda: lambda batch: replace(batch, outcomes=(Outcome.DIVERGED,)), "diverged: the loss is not"),
-    "not finite": (lambda: lambda batch: replace(batch, parameters=batch.parameters * np.nan), "diverged: the loss"),
-    "linear algebra": (lambda: _raises(_linear_algebra()), "the matrix is singular"),
-    "memory": (lambda: _raises(MemoryError("a lot")), "MemoryError: a lot"),
-    "a law": (lambda: _raises(ConfigError("x must be y")), "ConfigError: x must be y"),
+FAILURES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "diverged": (lambda batch: replace(batch, outcomes=(Outcome.DIVERGED,)), "diverged: the loss is not"),
+    "not finite": (lambda batch: replace(batch, parameters=batch.parameters * np.nan), "diverged: the loss"),
+    "linear algebra": (_raises(torch.linalg.LinAlgError("the matrix is singular")), "the matrix is singular"),
+    "memory": (_raises(MemoryError("a lot")), "MemoryError: a lot"),
+    "a law": (_raises(ConfigError("x must be y")), "ConfigError: x must be y"),
 }
 
 
@@ -308,7 +298,7 @@ def test_a_trial_that_fails_says_why_and_the_study_goes_on(
 ) -> None:
     """It is failed, with its reason, and counts as one of the total; the others are not touched."""
     fail, reason = FAILURES[failure]
-    failing(monkeypatch, 1, fail())
+    failing(monkeypatch, 1, fail)
     problem = make(n_trials=3)
     run_study(problem, silent)
     trials = finished(problem)
