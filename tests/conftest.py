@@ -400,7 +400,7 @@ def _global_state_is_left_alone() -> Iterator[None]:
     torch's number of threads is the one thing that a stage sets (``threads`` of the configuration): put back.
     """
     before = _global_state()
-    threads = _threads()
+    threads = sys.modules["torch"].get_num_threads() if _imported("torch") else None
     yield
     if threads is not None:
         sys.modules["torch"].set_num_threads(threads)
@@ -413,10 +413,6 @@ def _global_state_is_left_alone() -> Iterator[None]:
 
 _QUIET = {"open figures": [], "Hydra is set up": False}
 """What holds also for a package that the test was the first to import."""
-
-
-def _threads() -> int | None:
-    return sys.modules["torch"].get_num_threads() if _imported("torch") else None
 
 
 def _imported(name: str) -> bool:
@@ -443,8 +439,7 @@ def _global_state() -> dict[str, Any]:
     if _imported("matplotlib.pyplot"):
         state["open figures"] = sys.modules["matplotlib.pyplot"].get_fignums()
     if _imported("hydra.core.global_hydra"):
-        hydra = sys.modules["hydra.core.global_hydra"]
-        state["Hydra is set up"] = hydra.GlobalHydra.instance().is_initialized()
+        state["Hydra is set up"] = sys.modules["hydra.core.global_hydra"].GlobalHydra.instance().is_initialized()
     return state
 
 

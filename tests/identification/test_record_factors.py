@@ -28,8 +28,7 @@ SHARED = 0.2
 def scattered(**deviations: float) -> tuple[Measurement, BearingTable]:
     """Four weights of two labels, one of which is 10 % and 6 degrees off; each record has a factor of its own."""
     measurement, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 40))
-    acting = [("a", 2e-4, 0.3), ("b", 2e-4, 2.0), ("c", 8e-4, 0.3), ("d", 8e-4, -2.0)]
-    data = with_weights(measurement.dataset, *acting)
+    data = with_weights(measurement.dataset, ("a", 2e-4, 0.3), ("b", 2e-4, 2.0), ("c", 8e-4, 0.3), ("d", 8e-4, -2.0))
     labels = model_parameters(
         {"label_gain": 0.1, "label_angle": 0.1}, measurement.rotor, data, bearings, measurement.unknowns
     )

@@ -53,8 +53,8 @@ NUMBERS = pd.DataFrame(np.random.default_rng(2).random((2000, 4)), columns=list(
 
 
 def _picture(path: Path) -> None:
-    curves = [Curve(*np.random.default_rng(3).random((2, 500)))]
-    write_figure(path, Figure("", "", [Panel("", "", [Axes(curves, "")])]))
+    curve = Curve(*np.random.default_rng(3).random((2, 500)))
+    write_figure(path, Figure("", "", [Panel("", "", [Axes([curve], "")])]))
 
 
 @pytest.fixture

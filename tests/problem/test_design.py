@@ -132,11 +132,9 @@ def test_what_can_be_reached_is_written_and_can_be_used(run: Run, tmp_path: Path
     """Sixteen coefficients at 5 % with a force that turns backward."""
     run("design", ["experiment=realistic", "design.accuracy=0.05"], tmp_path)
     about = json.loads((tmp_path / "design.json").read_text())
-    assert about["reached"]
-    assert len(about["predicted"]) == 16
+    assert (about["reached"], len(about["predicted"])) == (True, 16)
     assert max(about["predicted"].values()) <= 0.05
-    file = tmp_path / "designed_excitation.yaml"
-    config = compose_config(["experiment=realistic", f"machine.runs_file='{file}'"])
+    config = compose_config(["experiment=realistic", f"machine.runs_file='{tmp_path / 'designed_excitation.yaml'}'"])
     assert [one.name for one in config.machine.runs] == about["runs"]
     assert any(force.whirl == "backward" for one in config.machine.runs for force in one.forces)
 
@@ -154,8 +152,10 @@ def test_what_cannot_be_reached_is_said_with_a_cure(
         <= 0.1
         < min(of for name, of in about["cures"].items() if name != "a force that turns backward")
     )
-    said = capsys.readouterr().out
-    assert_says(said, "10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node", "(enough)")
+    assert_says(
+        capsys.readouterr().out,
+        *("10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node", "(enough)"),
+    )
 
 
 @pytest.mark.slow

@@ -95,9 +95,8 @@ def measured(
     unknowns = unknown_set(dict.fromkeys(NODES, tie(COEFFICIENTS)))
     known = BearingTable(NODES, SPEEDS, np.zeros((2, len(SPEEDS), 8)))
     parameters = model_parameters(dict.fromkeys(KINDS, 1.0), stated, data, known, unknowns)
-    guess = Guess(1e7, 1e4, within=30.0)
     noise = noise or NoiseModel(1e-13, 1e-8)
-    return Measurement(stated, data, known, noise, unknowns, guess, parameters=parameters)
+    return Measurement(stated, data, known, noise, unknowns, Guess(1e7, 1e4, within=30.0), parameters=parameters)
 
 
 def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

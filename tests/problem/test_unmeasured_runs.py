@@ -55,10 +55,8 @@ def test_nothing_is_subtracted_from_what_was_not_measured() -> None:
 def test_records_at_speeds_of_their_own_give_bearings_and_residual_unbalance_back() -> None:
     """Each run at every third speed: no two have a speed in common."""
     made, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 24), noise=0.0)
-    weights = [
-        Excitation(run, "unbalance", 2, size, angle) for run, size, angle in (("a", 5e-4, 0.3), ("b", 5e-4, 2.0))
-    ]
-    weights.append(Excitation("c", "unbalance", 2, 0.0, 0.0))
+    acting = (("a", 5e-4, 0.3), ("b", 5e-4, 2.0), ("c", 0.0, 0.0))
+    weights = [Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting]
     residual = tuple(Excitation(weight.run, "unbalance", 2, 2e-4, -1.0) for weight in weights)
     present = np.arange(24)[:, None] % 3 == np.arange(3)
     data = replace(made.dataset, runs=("a", "b", "c"), excitations=(*weights, *residual), present=present)
