@@ -12,7 +12,7 @@ import numpy as np
 from running import composed
 
 from pipeline.coefficients import CoefficientName
-from pipeline.config.models import HybridModelConfig, LawModelConfig, ModelConfig, NetworkModelConfig
+from pipeline.config.models import HybridModelConfig, LawModelConfig, NetworkModelConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.sensors import NoiseModel
 from pipeline.data.simulate import add_noise, simulate
@@ -86,12 +86,10 @@ def setup(kind: str = "law") -> FitSetup:
     """The output error to its minimum, of laws, of laws with a correction, or of a network."""
     made = default_setup(GUESS)
     shared = {name: getattr(made.model, name) for name in LawModelConfig.model_fields if name != "kind"}
-    model: ModelConfig = made.model
-    if kind == "law":
-        model = LawModelConfig(kind="law", **shared)
     network = {"width": 48, "depth": 1, "activation": "tanh", "input_scaling": "log_rpm"}
-    if kind == "hybrid":
-        model = HybridModelConfig.model_validate({"kind": "hybrid", **shared, **network})
-    if kind == "network":
-        model = NetworkModelConfig.model_validate({"kind": "network", "trend": True, **shared, **network})
-    return replace(made, model=model, force=True)
+    model, own = {
+        "law": (LawModelConfig, {}),
+        "hybrid": (HybridModelConfig, network),
+        "network": (NetworkModelConfig, network | {"trend": True}),
+    }[kind]
+    return replace(made, model=model.model_validate({"kind": kind, **shared, **own}), force=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,12 +17,14 @@ from pipeline.identification.training import setup_of
 from pipeline.problem.configured import build_measurement, model_machine, read_probes
 from pipeline.problem.measurement import Guess, Measurement
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.model import RotorModel
 from pipeline.rotor.stored import load_rotor
 from pipeline.unknowns import tie, unknown_set
 
 NOISE = 2e-7
 DIRECT = (2e6, 0.0, 0.0, 1.2e6, 900.0, 0.0, 0.0, 600.0)
 STEEL = {"density": 7810.0, "youngs_modulus": 211e9, "shear_modulus": 81.2e9}
+DISC = {"mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
 SPEEDS = np.linspace(60.0, 260.0, 6)
 FITTED = (
     "experiment=ball_bearing",
@@ -37,6 +40,18 @@ FITTED = (
 """Overrides: constants, by Levenberg-Marquardt alone."""
 
 
+def steel_rotor(
+    shaft: tuple[float, float, int],
+    discs: Sequence[dict[str, float]],
+    bearing_nodes: Sequence[int],
+    shear: bool = True,
+) -> RotorModel:
+    """A rotor whose shaft has a length (m), a diameter (m) and a number of elements."""
+    of_shaft = dict(zip(("length", "outer_diameter", "elements"), shaft, strict=True)) | {"inner_diameter": 0.0}
+    config = {"material": STEEL, "shaft": [of_shaft], "discs": discs, "bearing_nodes": bearing_nodes}
+    return load_rotor(RotorConfig.model_validate(config | {"shear_effects": shear}))
+
+
 def small_machine(
     eight: tuple[float, ...],
     angles: tuple[float, float] = (0.3, 2.0),
@@ -44,10 +59,7 @@ def small_machine(
     noise: float = NOISE,
 ) -> tuple[Measurement, BearingTable]:
     """Readings of probes at 20 and 110 degrees of a rotor with one disc, and its bearings; direct ones are unknown."""
-    shaft = [{"length": 1.0, "outer_diameter": 0.03, "inner_diameter": 0.0, "elements": 5}]
-    disc = {"node": 2, "mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
-    config = {"material": STEEL, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 5], "shear_effects": True}
-    model = load_rotor(RotorConfig.model_validate(config))
+    model = steel_rotor((1.0, 0.03, 5), [DISC | {"node": 2}], (0, 5))
     bearings = BearingTable((0, 5), speeds, np.tile(eight, (2, len(speeds), 1)))
     channels = tuple((node, angle) for node in (0, 5) for angle in (20.0, 110.0))
     weights = tuple(Excitation(run, "unbalance", 2, 5e-4, angle) for run, angle in zip("ab", angles, strict=True))

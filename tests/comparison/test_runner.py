@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
-from pipeline.comparison.cases import Case, Machine, MethodRun, Result
+from pipeline.comparison.cases import Case, Machine, Result
 from pipeline.comparison.runner import compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
@@ -58,16 +59,15 @@ def nothing(done: int, total: int, result: Result) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small comparison, as the command makes it."""
     folder = tmp_path_factory.mktemp("a comparison") / "x"
-    arguments = ["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]
-    assert main(arguments) == 0
+    assert main(["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
     return folder
 
 
 @pytest.mark.slow
 def test_the_stage_writes_tables_numbers_and_a_figure(made: Path) -> None:
     assert {str(p.relative_to(made)) for p in made.rglob("*.*") if p.parent.name != "comparison"} == WRITTEN
-    rows = pd.read_csv(made / "comparison.csv")
-    assert {"median_error_percent", "within_interval_percent", "seconds"} <= set(rows.columns)
+    columns = set(pd.read_csv(made / "comparison.csv"))
+    assert {"median_error_percent", "within_interval_percent", "seconds"} <= columns
     summary = json.loads((made / "comparison.json").read_text())
     assert summary["methods"]["kalman"]["median_error_percent"]["location"]["0_percent"] < 1e-8
     assert "| per-speed least squares |" in (made / "comparison.md").read_text()
@@ -84,40 +84,22 @@ def test_what_a_method_cannot_do_is_a_row_with_its_name(made: Path) -> None:
 
 
 def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stopped = iter([None, KeyboardInterrupt()])
-
-    def stop(done: int, total: int, result: Result) -> None:
-        error = next(stopped)
-        if error is not None:
-            raise error
-
     own = setup_of(workers=1)
     with pytest.raises(KeyboardInterrupt):
-        compare(own, RUNS, tmp_path, stop)
-    asked: list[MethodRun] = []
-    real = runner.judge_method
-
-    def counted(machine: Machine, item: MethodRun) -> Result:
-        asked.append(item)
-        return real(machine, item)
-
-    monkeypatch.setattr(runner, "judge_method", counted)
+        compare(own, RUNS, tmp_path, Mock(side_effect=[None, KeyboardInterrupt]))
+    judge = Mock(wraps=runner.judge_method)
+    monkeypatch.setattr(runner, "judge_method", judge)
     results = compare(own, RUNS, tmp_path, nothing)
-    assert asked == RUNS[2:]
     assert [r.case for r in results] == [case for _, case in RUNS]
     assert compare(own, RUNS, tmp_path, nothing) == results
-    assert asked == RUNS[2:]
+    assert [item for _, item in (call.args for call in judge.call_args_list)] == RUNS[2:]
 
 
 @pytest.mark.slow
 def test_an_interrupted_stage_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-
-    def interrupted(*arguments: Any) -> list[Result]:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("pipeline.stages.compare.compare", interrupted)
+    monkeypatch.setattr("pipeline.stages.compare.compare", Mock(side_effect=KeyboardInterrupt))
     assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
     assert "no finished result is lost" in capsys.readouterr().err
 
@@ -195,8 +177,7 @@ FEW_STEPS = [
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", OTHERS)
 def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
-    config = compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"])
-    own = build_machine(config)
+    own = build_machine(compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"]))
     items = [(method, Case(0.01, where, 5)) for where in ("bearings", "location") for method in METHODS]
     results = compare(own, items, tmp_path, nothing)
     assert {result.outcome for result in results} <= {"answered", *REQUIREMENTS}
@@ -208,7 +189,7 @@ def test_every_method_says_something_of_other_machines(experiment: str, tmp_path
 def row(method: str, noise: float, error: float | None, data_set: int = 0, **changed: Any) -> Result:
     """A result with one coefficient, or without an answer."""
     kxx = {"median_error": error, "p95_error": error, "median_deviation": None, "within_interval": None}
-    values = {
+    plain = {
         "method": method,
         "case": Case(noise, "bearings", 10, data_set),
         "outcome": "answered" if error is not None else "one_frequency",
@@ -217,7 +198,7 @@ def row(method: str, noise: float, error: float | None, data_set: int = 0, **cha
         "seconds": 1.0,
         "coefficients": {} if error is None else {"1": {"kxx": kxx}},
     }
-    return Result.model_validate(values | changed)
+    return Result.model_validate(plain | changed)
 
 
 def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
@@ -231,8 +212,7 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
         row("response", 0.0, 0.1),
     )
     made = Comparison(rows, main_one, ("kxx",))
-    assert made.error("response", main_one) == 2.0
-    assert made.cell("multi_frequency", main_one) == "one frequency"
+    assert (made.error("response", main_one), made.cell("multi_frequency", main_one)) == (2.0, "one frequency")
     assert made.cell("kriging", main_one) == "0.5 ?"
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
     assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
@@ -262,10 +242,9 @@ def test_the_derivative_of_the_equations_by_the_readings() -> None:
     offset = residual_sensitivity(own.rotor, own.dataset, own.table(np.zeros((2, 12, 2))))
     step = np.zeros_like(own.dataset.displacement)
     step[:, 2, 1] = 1e-6 * (1 + 2j)
-    moved = replace(own.dataset, displacement=own.dataset.displacement + step)
     before, after = (
         linear_residual(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
-        for dataset in (own.dataset, moved)
+        for dataset in (own.dataset, replace(own.dataset, displacement=own.dataset.displacement + step))
     )
 
     def complex_rows(values: np.ndarray) -> np.ndarray:

@@ -49,8 +49,7 @@ def test_the_size_of_what_is_not_followed_is_the_likeliest(seed: int) -> None:
     sigma = evidence.maximise(still=1e-4, smallest=smallest)
 
     def likelihood(sizes: np.ndarray) -> float:
-        spread = np.eye(80) + rows * np.repeat(sizes**2, 10) @ rows.T
-        return float(multivariate_normal(cov=spread).logpdf(data))
+        return float(multivariate_normal(cov=np.eye(80) + rows * np.repeat(sizes**2, 10) @ rows.T).logpdf(data))
 
     vanished = sigma == smallest
     for move in np.eye(3):

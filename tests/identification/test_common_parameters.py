@@ -33,8 +33,7 @@ def test_tolerances_carry_their_units() -> None:
 def test_a_fit_finds_what_all_weights_have_in_common_and_the_bow() -> None:
     """Weights of three sizes at two angles; the machine is off by a prior deviation and a half in each number."""
     measurement, bearings = small_machine(DIRECT)
-    acting = [("a", 2e-4, 0.3), ("b", 5e-4, 2.0), ("c", 8e-4, 0.3), ("d", 3e-4, -2.0)]
-    data = with_weights(measurement.dataset, *acting)
+    data = with_weights(measurement.dataset, ("a", 2e-4, 0.3), ("b", 5e-4, 2.0), ("c", 8e-4, 0.3), ("d", 3e-4, -2.0))
     deviations = {"weight_angle": 0.05, "weight_law": 100.0, "bow": 2e-6}
     parameters = (
         *model_parameters(deviations, measurement.rotor, data, bearings, measurement.unknowns),

@@ -56,8 +56,7 @@ def ready(experiment: str, folder: Path, *overrides: str) -> Ready:
     """The experiment, its data in ``folder``."""
     config = compose_config([f"experiment={experiment}", f"output='{folder}'", "tracking=none", *overrides])
     measurement = load_measurement(config)
-    modelled = load_modelled(config, measurement)
-    return Ready(config, measurement, modelled, setup_of(config))
+    return Ready(config, measurement, load_modelled(config, measurement), setup_of(config))
 
 
 def test_the_residual_on_the_same_data_is_several_times_worse(artifacts: Artifacts, tmp_path: Path) -> None:

@@ -68,8 +68,7 @@ def test_the_rows_are_squares_under_the_covariance_of_the_levels() -> None:
     (predicted,), (measured,) = problem.predicted(weights), problem.readings.measured
     off = (predicted - measured)[0].flatten(0, 1).numpy()
     expected = 2 * np.einsum("dr,de,er->", off.conj(), np.linalg.inv(rig.root @ rig.root.conj().T), off).real
-    readings = problem.rows(weights)[0, 0][: 2 * SIZE * 5]
-    assert float(readings.square().sum()) == pytest.approx(expected, rel=1e-9)
+    assert float(problem.rows(weights)[0, 0][: 2 * SIZE * 5].square().sum()) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_prior_of_sizes_holds_what_the_data_leave_open_and_nothing_else() -> None:

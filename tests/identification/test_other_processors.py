@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import pictures_left_out
+from running import ROOT
 
 from pipeline.config.compose import compose_config
 from pipeline.stages import run_stage
@@ -94,12 +95,10 @@ def processors(tmp_path_factory: pytest.TempPathFactory) -> tuple[Processor, Pro
 
 
 def _run(program: str, kernels: dict[str, str], *arguments: str) -> str:
-    root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": f"{root}:{root}/tests:{root}/tests/identification"} | kernels
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments],
-        env=environment,
-        cwd=root,
+        env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT}/tests:{ROOT}/tests/identification"} | kernels,
+        cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=600,
@@ -212,27 +211,13 @@ def test_of_equal_minima_the_first_goes_on() -> None:
     assert find_distinct([float("inf"), 1.0]) == [1, 0]
 
 
-def test_of_equal_finalists_the_better_trial_is_promoted() -> None:
-    """At rounding seeds tell nothing: the order of the trials decides, and the default stays where it is there too."""
-    from pipeline.tuning.finalists import Finalist, choose
-
-    config = compose_config(["experiment=ball_bearing", "tuned=false"]).tuning
-
-    def finalist(trial: int, loss: float) -> Finalist:
-        return Finalist(trial, {}, np.full(5, loss), (), (), 0.0)
-
-    for one, other in ((1e-15, 9e-16), (9e-16, 1e-15)):
-        assert choose([finalist(0, 1e-3), finalist(4, one), finalist(9, other)], config).trial == 4
-        assert choose([finalist(0, 1e-14), finalist(4, one), finalist(9, other)], config).trial == 0
-
-
 @pytest.mark.parametrize("name", ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"])
 def test_committed_studies_promote_with_room_to_spare(name: str) -> None:
     """Kernels and the sampler's path move the losses of finalists: the choice must not hang on that."""
     import pandas as pd
     import yaml
 
-    folder = Path(__file__).resolve().parents[2] / "studies" / name
+    folder = ROOT / "studies" / name
     losses = pd.read_csv(folder / "finalists.csv").groupby("trial")["held_out_loss"]
     promoted = yaml.safe_load((folder / "best.yaml").read_text())["trial"]
     least = compose_config([f"experiment={name}", "tuned=false"]).tuning.least_gain

@@ -28,8 +28,7 @@ SHARED = 0.2
 def scattered(**deviations: float) -> tuple[Measurement, BearingTable]:
     """Four weights of two labels, one of which is 10 % and 6 degrees off; each record has a factor of its own."""
     measurement, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 40))
-    acting = [("a", 2e-4, 0.3), ("b", 2e-4, 2.0), ("c", 8e-4, 0.3), ("d", 8e-4, -2.0)]
-    data = with_weights(measurement.dataset, *acting)
+    data = with_weights(measurement.dataset, ("a", 2e-4, 0.3), ("b", 2e-4, 2.0), ("c", 8e-4, 0.3), ("d", 8e-4, -2.0))
     labels = model_parameters(
         {"label_gain": 0.1, "label_angle": 0.1}, measurement.rotor, data, bearings, measurement.unknowns
     )
@@ -49,8 +48,7 @@ def test_factors_of_records_are_eliminated_and_those_of_labels_are_told() -> Non
     fit = fit_output_error(measurement, setup_of(composed(*FITTED)))
     quality, answer = output_error_quality(fit), conclude(fit)
     assert quality.misfit == pytest.approx(1.0, abs=0.15)
-    truth = [0.0, np.log(1.1), 0.0, 0.1]
-    for number, true in zip(answer.parameters, truth, strict=True):
+    for number, true in zip(answer.parameters, [0.0, np.log(1.1), 0.0, 0.1], strict=True):
         assert abs(0.2 * number.value - true) < 3.5 * 0.2 * number.left, number.name
         assert number.left < 0.5
     direct = fit.identified.table(bearings).values[..., [0, 3]]

@@ -36,10 +36,9 @@ def test_network_jacobian_equals_autograd(depth: int | None, activation: str, ge
     parameters = torch.randn(2, 2, model.n_parameters, generator=generator, dtype=torch.float64)
     found = model.raw_jacobian(parameters, inputs)
     assert found.shape == (2, 2, 1 if depth is None else 4, 3, model.n_parameters) or depth is None
-    for g in range(2):
-        for m in range(2):
-            wanted = torch.autograd.functional.jacobian(lambda p: model.raw(p, inputs), parameters[g, m])
-            assert_close(found[g, m].expand_as(wanted), wanted, rtol=1e-10, atol=1e-12)
+    for g, m in np.ndindex(2, 2):
+        wanted = torch.autograd.functional.jacobian(lambda p: model.raw(p, inputs), parameters[g, m])
+        assert_close(found[g, m].expand_as(wanted), wanted, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
@@ -259,7 +258,6 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     spoiled = replace(data, displacement=data.displacement * size[:, None, None])
     clean, other = (prepare_residual(replace(asked(hydrostatic), dataset=one), setup) for one in (data, spoiled))
     parameters = initial_parameters(clean, setup, 0)
-    other_train = replace(other.problem, scale=clean.problem.scale)
-    other_held = replace(other.held_out, scale=clean.problem.scale)
-    assert_close(other_train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
-    assert not torch.equal(other_held.loss(parameters), clean.held_out.loss(parameters))
+    train, held_out = (replace(each, scale=clean.problem.scale) for each in (other.problem, other.held_out))
+    assert_close(train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
+    assert not torch.equal(held_out.loss(parameters), clean.held_out.loss(parameters))

@@ -26,8 +26,7 @@ def tolerant(stated: tuple[str, ...] = ()) -> Measurement:
 
 
 def deviation_of(measurement: Measurement) -> np.ndarray:
-    found = fit(measurement, SETUP)
-    return np.asarray(found.deviation(SPEEDS))[:, 0, [0, 3, 4, 7]]
+    return np.asarray(fit(measurement, SETUP).deviation(SPEEDS))[:, 0, [0, 3, 4, 7]]
 
 
 @pytest.mark.slow

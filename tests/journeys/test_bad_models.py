@@ -90,6 +90,7 @@ MODEL: dict[str, tuple[str, object, str]] = {
     "no schema": ("schema", None, "must have schema 3"),
     "no model": ("model", None, "must"),
     "model is a list": ("model", [1, 2], "must"),
+    "another architecture": ("model.hidden", [3], "must"),
     "bearings of another rotor": ("bearing_nodes", [0], "must"),
     "nodes that are not the rotor's bearings": ("bearing_nodes", [0, 1], "must"),
     "unknown parametrisation": ("model.parametrisation", "cubic", "must"),
@@ -130,6 +131,7 @@ WEIGHTS: dict[str, Callable[[Path], object]] = {
     "empty": lambda path: path.write_bytes(b""),
     "half": lambda path: path.write_bytes(path.read_bytes()[:-9]),
     "random": lambda path: path.write_bytes(np.random.default_rng(1).bytes(500)),
+    "an archive": lambda path: path.write_bytes(b"PK\x03\x04 a pickle"),
     "a pickle": lambda path: path.write_bytes(b"\x80\x04\x95\x05\x00\x00\x00\x00\x00\x00\x00K\x01."),
     "another name": _weights(lambda w: {"weights": w["parameters"]}),
     "another shape": _weights(lambda w: {"parameters": w["parameters"][:, :1].contiguous()}),
@@ -171,8 +173,8 @@ def test_a_model_of_other_unknowns(stage: str, run: Run, base: Config, mine: Pat
 
 @pytest.mark.parametrize("stage", ["train", "evaluate", "robustness", "predict"])
 def test_bad_data_leave_old_results_as_they_were(stage: str, run: Run, base: Config, mine: Path) -> None:
-    header = "run,kind,node,magnitude,phase_deg,whirl"
-    (mine / "excitation.csv").write_text(f"{header}\none,unbalance,7,1,0,forward\n")
+    text = "run,kind,node,magnitude,phase_deg,whirl\none,unbalance,7,1,0,forward\n"
+    (mine / "excitation.csv").write_text(text)
     with left_alone(mine), refused("must come from one stage=generate"):
         run(stage, base, mine)
 

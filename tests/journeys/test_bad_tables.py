@@ -162,8 +162,8 @@ def eight_of(base: Config) -> Config:
 
 @pytest.mark.parametrize("stage", ["train", "evaluate", "robustness"])
 def test_fewer_runs_than_the_unknowns_need_in_a_configuration(stage: str, run: Run, tmp_path: Path) -> None:
-    overrides = [*SMALL, "model=network", f"identify.unknowns=[{','.join(COEFFICIENTS)}]"]
-    overrides = [text for text in overrides if not text.startswith("machine.runs")]
+    of_one_run = [text for text in SMALL if not text.startswith("machine.runs")]
+    overrides = [*of_one_run, "model=network", f"identify.unknowns=[{','.join(COEFFICIENTS)}]"]
     with refused("the 1 run determine 4 of 8 unknowns", "force=true", kind=IdentifiabilityError):
         run(stage, compose_config(overrides), tmp_path / "x")
     assert not {"model.json", "metrics.json", "robustness.json"} & set(os.listdir(tmp_path / "x"))
@@ -216,7 +216,6 @@ def test_no_modelled_coefficients(
 
 @pytest.mark.slow
 def test_a_modelled_coefficient_of_zero_has_no_relative_error(run: Run, base: Config, tmp_path: Path) -> None:
-    unknowns = base.identify.model_copy(update={"unknowns": ("kxx", "kxy", "kyy")})
-    run("evaluate", base, tmp_path / "x", identify=unknowns)
+    run("evaluate", base, tmp_path / "x", identify=base.identify.model_copy(update={"unknowns": ("kxx", "kxy", "kyy")}))
     metrics = strict_json(tmp_path / "x" / "metrics.json")
     assert metrics["coefficients"]["0"]["kxx"]["mean_error_percent"] < 1e-10

@@ -105,27 +105,25 @@ def test_mistakes_in_a_table_are_named(folder: Path, tmp_path: Path, monkeypatch
     fast = _write(tmp_path / "fast.csv", [r | {"rpm": "1400"} for r in rows])
     without = _write(tmp_path / "without.csv", [{k: v for k, v in r.items() if k != "condition"} for r in rows])
     bare = _write(tmp_path / "bare.csv", rows, "plane")
-    loose = _write(tmp_path / "loose.csv", rows, "U")
     for stage, key, file, words in (
         ("predict", "predict.records", fast, "within 1 % of those that influence coefficients are known at"),
         ("balance", "balance.records", without, "column 'condition'"),
         ("balance", "balance.records", bare, "vibration of at least one probe"),
-        ("predict", "predict.records", loose, "weights of every plane"),
+        ("predict", "predict.records", _write(tmp_path / "loose.csv", rows, "U"), "weights of every plane"),
         ("predict", "predict.records", tmp_path / "none.csv", "no such file"),
     ):
         with pytest.raises(DataError, match=words):
             _run(folder, stage, f"{key}={file}")
-    given = f"balance.records={_write(tmp_path / 'good.csv', rows)}"
-    with pytest.raises(ConfigError, match="did you mean 'A003'"):
-        _run(folder, "balance", given, "balance.condition=A0003", "balance.remove=both")
-    with pytest.raises(ConfigError, match=r"balance\.method must be a method with a fit"):
-        _run(folder, "balance", given, "balance.method=magic")
-    with pytest.raises(DataError, match="must be a condition of the records, but got 'A0003': did you mean 'A003'"):
-        _run(folder, "balance", given, "balance.reference=A0003")
-    with pytest.raises(ConfigError, match="name a condition"):
-        composed("experiment=rk4", "balance.remove=both")
-    with pytest.raises(ConfigError, match=r"grade of ISO 21940-11 such as G2\.5"):
-        composed("experiment=rk4", "machine.balance.tolerance.grade=2.5")
+    given, absent = f"balance.records={_write(tmp_path / 'good.csv', rows)}", "but got 'A0003': did you mean 'A003'"
+    for error, words, overrides in (
+        (ConfigError, "did you mean 'A003'", ("balance.condition=A0003", "balance.remove=both")),
+        (ConfigError, r"balance\.method must be a method with a fit", ("balance.method=magic",)),
+        (DataError, f"must be a condition of the records, {absent}", ("balance.reference=A0003",)),
+        (ConfigError, "name a condition", ("balance.remove=both",)),
+        (ConfigError, r"grade of ISO 21940-11 such as G2\.5", ("machine.balance.tolerance.grade=2.5",)),
+    ):
+        with pytest.raises(error, match=words):
+            _run(folder, "balance", given, *overrides)
 
 
 def test_three_runs_over_many_speeds_have_no_bands(

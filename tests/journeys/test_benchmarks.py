@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from conftest import MachineFactory, assert_says
@@ -46,10 +47,7 @@ def test_both_sides_take_turns() -> None:
 @pytest.fixture
 def found(monkeypatch: pytest.MonkeyPatch) -> dict[str, Benchmark]:
     """Two benchmarks in the place of all: one misses its aim, the other breaks."""
-
-    def breaks() -> Times:
-        raise RuntimeError("no such thing")
-
+    breaks = Mock(side_effect=RuntimeError("no such thing"))
     made = {"x": one(Aim(0.1)).benchmark, "broken": Benchmark("broken", "this", "that", Aim(1), breaks)}
     monkeypatch.setattr(command, "benchmarks", lambda: made)
     return made
@@ -133,5 +131,4 @@ def test_two_workers_do_the_trials_of_one(make: Make, tmp_path: Path) -> None:
     studies = [run_study(problem, silent) for problem in problems]
     assert [sentences for _, sentences in studies] == [[], []]
     one, two = ([trial.parameters for trial in summarize(study)] for study, _ in studies)
-    assert len(one) == 4
-    assert one == two
+    assert (len(one), one) == (4, two)

@@ -52,8 +52,7 @@ def _failing(monkeypatch: pytest.MonkeyPatch, error: BaseException, where: Run =
 def test_help_names_every_stage_and_experiment(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([option]) == 0
     words = capsys.readouterr().out
-    for name in [*STAGES, *list_options("experiment"), "--cfg job", "artifacts/NAME", "-m"]:
-        assert name in words
+    assert_says(words, *STAGES, *list_options("experiment"), "--cfg job", "artifacts/NAME", "-m")
     assert all(len(line) <= 110 for line in words.splitlines())
 
 
@@ -73,8 +72,7 @@ def test_a_stage_may_compose_while_it_runs(
     monkeypatch.setattr(
         "pipeline.stages.run_stages", lambda configs: print(configs[0].seed, compose_config(["seed=9"]).seed)
     )
-    assert main(["seed=1"]) == 0
-    assert capsys.readouterr().out == "1 9\n"
+    assert (main(["seed=1"]), capsys.readouterr().out) == (0, "1 9\n")
 
 
 MISTAKES = [
@@ -149,8 +147,7 @@ def test_exit_code_of_what_a_stage_raises(
     assert main([]) == code
     out, err = capsys.readouterr()
     assert fragment in err
-    assert bool(fragment) == bool(err)
-    assert out == ""
+    assert (bool(fragment), out) == (bool(err), "")
     assert ("Traceback" in err) == ("please report" in err) == (code == 70), "a bug keeps its traceback"
 
 
@@ -227,8 +224,7 @@ def test_each_job_has_a_folder_named_by_what_was_swept(
     assert "-> artifacts/ball_bearing/seed-2\n" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["artifacts"]
     assert {path.name for path in (tmp_path / "artifacts").iterdir()} == {".multirun", "ball_bearing"}
-    for config in runs:
-        assert [path.name for path in Path(config.output).iterdir()] == ["config.yaml"]
+    assert [[path.name for path in Path(config.output).iterdir()] for config in runs] == [["config.yaml"]] * 2
 
 
 @pytest.mark.parametrize(

@@ -85,8 +85,7 @@ def test_constants_do_not_depend_on_the_seed(artifacts: Artifacts, run: Run, tmp
     run("train", ["experiment=ball_bearing", "seed=5"], other)
     names = ("model.safetensors", "identified_coefficients.csv")
     folder = artifacts("ball_bearing", *names)
-    for name in names:
-        assert (other / name).read_bytes() == (folder / name).read_bytes()
+    assert [name for name in names if (other / name).read_bytes() != (folder / name).read_bytes()] == []
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -119,14 +118,12 @@ def test_the_modelled_rotor_is_stable_and_so_is_the_identified_one(experiment: s
     """An unstable machine can't be measured; the twin has the modelled critical speeds and decrements."""
     prediction = artifacts.read(experiment, "prediction")
     modelled, identified = prediction["modelled"], prediction["identified"]
-    assert modelled["stability"]["stable"]
-    assert identified["stability"]["stable"]
+    assert (modelled["stability"]["stable"], identified["stability"]["stable"]) == (True, True)
     assert identified["critical_speeds"].keys() == modelled["critical_speeds"].keys()
     for number, critical in modelled["critical_speeds"].items():
         found = identified["critical_speeds"][number]
         assert found["rpm"] == pytest.approx(critical["rpm"], rel=1e-5)
-        decrement = critical["logarithmic_decrement"]
-        assert found["logarithmic_decrement"] == pytest.approx(decrement, rel=1e-3, abs=1e-6)
+        assert found["logarithmic_decrement"] == pytest.approx(critical["logarithmic_decrement"], rel=1e-3, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -200,11 +197,9 @@ def test_no_rule_holds_without_its_metric(experiment: str, judged: Path) -> None
         path = folder / rule.file
         before = path.read_text(encoding="utf-8")
         worse = 1e300 if rule.max is not None else -1e300
-        path.write_text(json.dumps(_with_all_numbers(json.loads(before), worse)), encoding="utf-8")
-        found = check_experiment(experiment, [rule], folder, {})
-        assert not any(one.met for one in found), rule
-        path.write_text("{}", encoding="utf-8")
-        assert not any(one.met for one in check_experiment(experiment, [rule], folder, {})), rule
+        for text in (json.dumps(_with_all_numbers(json.loads(before), worse)), "{}"):
+            path.write_text(text, encoding="utf-8")
+            assert not any(one.met for one in check_experiment(experiment, [rule], folder, {})), rule
         path.write_text(before, encoding="utf-8")
 
 

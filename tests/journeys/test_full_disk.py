@@ -53,8 +53,8 @@ NUMBERS = pd.DataFrame(np.random.default_rng(2).random((2000, 4)), columns=list(
 
 
 def _picture(path: Path) -> None:
-    curves = [Curve(*np.random.default_rng(3).random((2, 500)))]
-    write_figure(path, Figure("", "", [Panel("", "", [Axes(curves, "")])]))
+    curve = Curve(*np.random.default_rng(3).random((2, 500)))
+    write_figure(path, Figure("", "", [Panel("", "", [Axes([curve], "")])]))
 
 
 @pytest.fixture
@@ -137,8 +137,7 @@ def test_a_writer_that_fails_half_way(error: BaseException, tmp_path: Path) -> N
         beside.write_text("half")
         raise error
 
-    expected = StorageError if isinstance(error, OSError) else type(error)
-    with pytest.raises(expected):
+    with pytest.raises(StorageError if isinstance(error, OSError) else type(error)):
         write_beside(path, write)
     assert contents(tmp_path) == {"x.txt": b"old"}
 

@@ -44,8 +44,7 @@ def test_jobs_side_by_side(one_by_one: Path, tmp_path: Path) -> None:
     assert all(f"[{seed + 1}/2] stage=train seed={seed} " in done.stdout for seed in range(2))
     assert {path.name for path in tmp_path.iterdir()} == {"artifacts", "out"}
     assert [path.name for path in (tmp_path / "artifacts").iterdir()] == [".multirun"]
-    names = {"jobs.csv", "jobs.png", *(f"seed-{seed}" for seed in range(2))}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"jobs.csv", "jobs.png", "seed-0", "seed-1"}
     answers = []
     for seed in range(2):
         here, there = tmp_path / "out" / f"seed-{seed}", one_by_one / f"seed-{seed}"
@@ -56,8 +55,7 @@ def test_jobs_side_by_side(one_by_one: Path, tmp_path: Path) -> None:
         values = [load_model(folder).values(np.array([100.0, 300.0, 500.0])) for folder in (here, there)]
         np.testing.assert_allclose(*values, rtol=1e-6)
         answers.append(values[0])
-        tables = [(folder / "vibration.parquet").read_bytes() for folder in (here, there)]
-        assert tables[0] == tables[1]
+        assert (here / "vibration.parquet").read_bytes() == (there / "vibration.parquet").read_bytes()
     assert not np.allclose(answers[0], answers[1], rtol=1e-3), "each seed has its own answer"
 
 
@@ -70,8 +68,7 @@ def test_a_job_that_fails_is_named(tmp_path: Path) -> None:
     done = python("-m", "pipeline", "-m", "hydra/launcher=submitit_local", *given, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
-    assert "'seed=1'" in done.stderr
-    assert "what the jobs said is in 'artifacts/.multirun/.submitit'" in done.stderr
+    assert_says(done.stderr, "'seed=1'", "what the jobs said is in 'artifacts/.multirun/.submitit'")
     said = "".join(path.read_text() for path in (tmp_path / "artifacts/.multirun/.submitit").rglob("*.err"))
     assert_says(
         said,

@@ -150,8 +150,7 @@ def test_parts_of_an_identity_are_kept_apart() -> None:
 
 
 def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = compose_config(BALL)
-    speeds = np.array([100.0, 200.0])
+    config, speeds = compose_config(BALL), np.array([100.0, 200.0])
     first, bearings = (
         load_rotor(config.machine.rotor),
         load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds),
@@ -165,8 +164,8 @@ def test_a_kept_rotor_is_the_assembled_one(own_cache: Path, monkeypatch: pytest.
         )
     for name in ("mass", "damping", "gyroscopic", "stiffness", "positions"):
         assert getattr(again, name).tobytes() == getattr(first, name).tobytes()
-    assert (again.bearing_nodes, again.disc_nodes) == (first.bearing_nodes, first.disc_nodes)
-    assert again.total_mass == first.total_mass
+    for name in ("bearing_nodes", "disc_nodes", "total_mass"):
+        assert getattr(again, name) == getattr(first, name)
     assert (kept.nodes, kept.values.tobytes()) == (bearings.nodes, bearings.values.tobytes())
     (own_cache / KIND / hash_rotor(config.machine.rotor)).write_bytes(b"damaged")
     assert load_rotor(config.machine.rotor).fingerprint == first.fingerprint
@@ -224,7 +223,6 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
     """Logged once, by the process beside or, where that was killed, by the command itself."""
 
     settings = TrackingConfig(enabled=True, uri=f"sqlite:///{tmp_path}/mlflow.db", timeout_seconds=30.0)
-    history = [{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}]
     record = StageRecord(
         {"error": 0.5},
         {"outcome": "converged"},
@@ -233,7 +231,7 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
         started=1.0,
         ended=2.0,
         parameters={"seed": 3},
-        history=history,
+        history=[{"step": 0, "loss": 2.0}, {"step": 1, "loss": float("nan")}],
     )
     with recorder_beside(True):
         if killed:
@@ -241,8 +239,7 @@ def test_a_record_is_complete_also_where_the_process_beside_is_lost(killed: bool
             os.kill(process, signal.SIGKILL)
             connection.poll(30.0)
         told = track(record, settings)
-    assert len(told) == 1
-    assert "loss" in told[0]
+    assert ["loss" in sentence for sentence in told] == [True]
     with sqlite3.connect(tmp_path / "mlflow.db") as database:
         assert database.execute("SELECT name, status FROM runs").fetchall() == [("train", "FINISHED")]
         assert sorted(database.execute("SELECT key, value FROM metrics")) == [("error", 0.5), ("loss", 2.0)]

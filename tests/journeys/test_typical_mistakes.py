@@ -62,8 +62,7 @@ def truth() -> Measurement:
         for name, value in zip(UNKNOWNS, own, strict=True):
             values[b, :, COEFFICIENTS.index(name)] = value
     bearings = BearingTable(NODES, speeds, values)
-    complete = simulate(rotor(), bearings, WEIGHTS)
-    probes = measure(complete, Sensors(PROBES, NOISE), np.random.default_rng(4))
+    probes = measure(simulate(rotor(), bearings, WEIGHTS), Sensors(PROBES, NOISE), np.random.default_rng(4))
     unknowns = unknown_set(dict.fromkeys(NODES, tie(UNKNOWNS)))
     return Measurement(rotor(), probes, bearings, NOISE, unknowns, Guess(1e7, 5e3))
 

@@ -34,8 +34,7 @@ def test_priors_are_normal_distributions_with_room_for_what_theory_lacks(yields:
     """Symmetric, positive, no narrower than what theory lacks; the same again for the same seed."""
     families = (*LACKS, "unknown")
     priors = make_priors(families, NODES, 300.0, 0.06, yields=yields)
-    again = make_priors(families, NODES, 300.0, 0.06, yields=yields)
-    for prior, same in zip(priors, again, strict=True):
+    for prior, same in zip(priors, make_priors(families, NODES, 300.0, 0.06, yields=yields), strict=True):
         assert np.array_equal(prior.mean, same.mean)
         assert np.array_equal(prior.root, same.root)
         deviation = np.sqrt((prior.root**2).sum(axis=1)).reshape(8, -1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from comparing import FILM, composed, errors, options, task
+from conftest import assert_says
 
 from pipeline.comparison.cases import Case
 from pipeline.identification.fit import fit
@@ -52,8 +53,7 @@ def test_the_spline_finds_the_residual_unbalance() -> None:
     case = Case(0.0, "bearings", 6)
     found = identify_by_spline(task(case, *BLOWS), options(*BLOWS))
     hidden = {one.node: 1e6 * one.magnitude for one in composed(*BLOWS).machine.residual_unbalance}
-    for node, size in hidden.items():
-        assert f"{size:.3g} g mm at node {node}" in found.words
+    assert_says(found.words, *(f"{size:.3g} g mm at node {node}" for node, size in hidden.items()))
     assert errors(found, case, *BLOWS).max() < 1e-6
 
 

@@ -49,8 +49,7 @@ def measurement(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any]:
 def test_a_seed_is_a_machine() -> None:
     """Trouble and noise change nothing of what its user states."""
     first, again = (draw.draw_machine(5, trouble=trouble) for trouble in ("none", "discs"))
-    assert first.stated == again.stated
-    assert first.bearings == again.bearings
+    assert (first.stated, first.bearings) == (again.stated, again.bearings)
     assert draw.draw_machine(6).stated != first.stated
 
 
@@ -134,8 +133,7 @@ def test_the_network_is_near_the_nodes(answer: tuple[Any, Any], at_nodes: Output
     """All its layers are trained, it converges, and its bands are those of the nodes: one prior, one covariance."""
     solved, felt = answer
     network, nodes = conclude(solved), conclude(at_nodes)
-    assert network.model.model.hidden == (24,)
-    assert nodes.model.model.hidden == ()
+    assert (network.model.model.hidden, nodes.model.model.hidden) == ((24,), ())
     assert network.outcome is Outcome.CONVERGED
     band, band_of_nodes = network.deviation(felt.speeds), nodes.deviation(felt.speeds)
     off = np.abs(network.table(felt).values - nodes.table(felt).values) / band_of_nodes

@@ -110,8 +110,7 @@ def test_the_slope_wants_the_two_temperatures_that_lie_furthest_apart() -> None:
     """With the better run at both: its error of two viscosities over their distance."""
     one, two = plan_states(oils((False, True)), 1, 0.02)
     assert one.worst == pytest.approx(np.log(2.0), rel=0.05)  # at its prior
-    assert two.states == (0, 4)
-    assert two.runs == (1,)
+    assert (two.states, two.runs) == ((0, 4), (1,))
     assert two.worst == pytest.approx(np.hypot(1 / 200.0, 1 / 200.0) / (SLOPE * 30.0), rel=1e-3)
 
 
@@ -133,11 +132,9 @@ def test_what_can_be_reached_is_written_and_can_be_used(run: Run, tmp_path: Path
     """Sixteen coefficients at 5 % with a force that turns backward."""
     run("design", ["experiment=realistic", "design.accuracy=0.05"], tmp_path)
     about = json.loads((tmp_path / "design.json").read_text())
-    assert about["reached"]
-    assert len(about["predicted"]) == 16
+    assert (about["reached"], len(about["predicted"])) == (True, 16)
     assert max(about["predicted"].values()) <= 0.05
-    file = tmp_path / "designed_excitation.yaml"
-    config = compose_config(["experiment=realistic", f"machine.runs_file='{file}'"])
+    config = compose_config(["experiment=realistic", f"machine.runs_file='{tmp_path / 'designed_excitation.yaml'}'"])
     assert [one.name for one in config.machine.runs] == about["runs"]
     assert any(force.whirl == "backward" for one in config.machine.runs for force in one.forces)
 
@@ -155,8 +152,10 @@ def test_what_cannot_be_reached_is_said_with_a_cure(
         <= 0.1
         < min(of for name, of in about["cures"].items() if name != "a force that turns backward")
     )
-    said = capsys.readouterr().out
-    assert_says(said, "10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node", "(enough)")
+    assert_says(
+        capsys.readouterr().out,
+        *("10 % can't be reached with 3 runs for 16 of 16 coefficients; the worst, node", "(enough)"),
+    )
 
 
 @pytest.mark.slow

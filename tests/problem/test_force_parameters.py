@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import MachineFactory
-from small_rotor import STEEL
+from small_rotor import DISC, steel_rotor
 
 from benchmarks.ross_oracle import ross_rotor
-from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation, VibrationDataset
 from pipeline.parameters.geometry import bow_force
 from pipeline.parameters.model import ModelParameter, set_values
 from pipeline.parameters.weights import update_excitations
 from pipeline.rotor.dynamic_stiffness import banded, solve
 from pipeline.rotor.interpolation import bearing_places
-from pipeline.rotor.stored import load_rotor
 
 
 def test_weights_follow_the_angle_and_the_law() -> None:
@@ -40,10 +38,7 @@ def test_weights_follow_the_angle_and_the_law() -> None:
 
 def test_a_bowed_shaft_rolls_in_its_shape() -> None:
     """At slow roll a beam on rigid supports shows its bow: 3 z / L - 4 (z / L)^3 of a load at midspan, turning."""
-    shaft = [{"length": 1.0, "outer_diameter": 0.05, "inner_diameter": 0.0, "elements": 8}]
-    disc = {"node": 4, "mass": 10.0, "diametral_inertia": 0.05, "polar_inertia": 0.09}
-    config = {"material": STEEL, "shaft": shaft, "discs": [disc], "bearing_nodes": [0, 8], "shear_effects": False}
-    rotor, speeds = load_rotor(RotorConfig.model_validate(config)), np.array([0.1])
+    rotor, speeds = steel_rotor((1.0, 0.05, 8), [DISC | {"node": 4}], (0, 8), shear=False), np.array([0.1])
     parts = [ModelParameter("bow", 1e-5, "", 4, part) for part in ("real", "imaginary")]
     force = bow_force(set_values(parts, [2.0, 1.0]), rotor)[None, :, None]
     places = bearing_places(rotor)

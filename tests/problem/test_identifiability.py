@@ -106,8 +106,7 @@ def test_the_rank_of_the_orbits(
     """
     accounts = accounts_of(rotor_of, table_of(rotor_of, *bearings), (*UNBALANCES, *more))
     for account, rank in zip(accounts, ranks, strict=True):
-        assert set(account.orbit_rank) == {rank}
-        assert set(account.rank) == {4 * rank}
+        assert (set(account.orbit_rank), set(account.rank)) == ({rank}, {4 * rank})
         assert (account.verdict is Solvability.IDENTIFIABLE) is (rank == 2)
 
 
@@ -166,12 +165,6 @@ def test_what_is_determined_least_does_not_hang_on_rounding(rng: np.random.Gener
 def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
     """The journal bearing can't be identified; the isotropic one can, by its structure; a backward run cures."""
     made = machine("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=200")
-    setup = setup_of(made.config)
-    with pytest.raises(
-        IdentifiabilityError, match=r"bearing at node 8: not identifiable, because .*rank 1 of 2.*backward"
-    ):
-        prepare_residual(made.measurement, setup)
-    assert prepare_residual(made.measurement, replace(setup, force=True))
     journal, isotropic = reports_of(made)
     assert (set(journal.rank), set(journal.orbit_rank)) == ({4}, {1})
     assert isotropic.verdict is Solvability.IDENTIFIABLE
@@ -180,8 +173,7 @@ def test_verdicts_of_the_compressor(machine: MachineFactory) -> None:
         "machine=compressor_journal_and_isotropic_backward",
         "machine.speeds.step_rpm=200",
     )
-    for account in reports_of(cured):
-        assert account.verdict is Solvability.IDENTIFIABLE
+    assert [account.verdict for account in reports_of(cured)] == [Solvability.IDENTIFIABLE] * 2
 
 
 def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
@@ -195,14 +187,8 @@ def test_a_constant_is_identifiable_across_speeds(rotor_of: Machine) -> None:
 
 def trained(machine: Machine, table: BearingTable, acting: tuple[Excitation, ...], *overrides: str) -> BearingTable:
     """The table that a short training gives."""
-    config = compose_config(
-        [
-            "experiment=all_coefficients",
-            "optimizer.levenberg_marquardt.steps=40",
-            "training.holdout_every=0",
-            *overrides,
-        ]
-    )
+    few = ("optimizer.levenberg_marquardt.steps=40", "training.holdout_every=0")
+    config = compose_config(["experiment=all_coefficients", *few, *overrides])
     data = replace(machine, bearings=table).measured(simulate(machine.rotor, table, acting), config)
     return fit(data, replace(setup_of(config), seed=1)).table(table)
 
@@ -397,7 +383,7 @@ def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.Ca
 def test_training_of_what_is_not_identifiable(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It stops with the sentence, and force=true goes on with the same sentence as a line."""
     chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
-    with pytest.raises(IdentifiabilityError, match=r"node 8: not identifiable, .*rank 1 of 2.*force=true"):
+    with pytest.raises(IdentifiabilityError, match=r"8: not identifiable, because .*rank 1 of 2.*backward.*force=true"):
         run("train", chosen, tmp_path / "x")
     assert not (tmp_path / "x" / "model.json").exists()
     run("train", [*chosen, "force=true", "optimizer.levenberg_marquardt.steps=2"], tmp_path / "x")
@@ -432,13 +418,14 @@ def test_a_design_can_be_used_at_once(run: Run, tmp_path: Path) -> None:
     assert config.machine.speeds.step_rpm == 500
     run("generate", ["experiment=all_coefficients", f"machine.runs_file='{file}'"], tmp_path / "b")
     (tmp_path / "c.yaml").write_text("- 1")
-    with pytest.raises(ConfigError, match=r"machine\.runs_file must have speeds and runs"):
-        compose_config([f"machine.runs_file='{tmp_path / 'c.yaml'}'"])
     (tmp_path / "e.yaml").write_text(file.read_text() + "rotor: {file: x}\n")
-    with pytest.raises(ConfigError, match=r"nothing else, but '.*e\.yaml' has speeds, runs, rotor"):
-        compose_config([f"machine.runs_file='{tmp_path / 'e.yaml'}'"])
-    with pytest.raises(ConfigError, match=r"machine\.runs_file must be speeds and runs such as stage=design writes"):
-        compose_config([f"machine.runs_file='{tmp_path / 'd.yaml'}'"])
+    for name, law in (
+        ("c", r"machine\.runs_file must have speeds and runs"),
+        ("e", r"nothing else, but '.*e\.yaml' has speeds, runs, rotor"),
+        ("absent", r"machine\.runs_file must be speeds and runs such as stage=design writes"),
+    ):
+        with pytest.raises(ConfigError, match=law):
+            compose_config([f"machine.runs_file='{tmp_path / name}.yaml'"])
 
 
 def test_the_best_set_of_runs_is_found(rng: np.random.Generator) -> None:

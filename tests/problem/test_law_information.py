@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -77,11 +78,10 @@ def test_what_is_free_are_viscosity_load_and_clearance_together() -> None:
     unknown = {name: {"guess": BEARING[name], "within": 3} for name in ("radial_clearance", "static_load")}
     oil = {"law": "constant", "viscosity": {"guess": "20 mPa s", "within": 3}}
     one = measured([WARM], oil, BEARING)
-    section = {"oil": oil, "bearings": {0: BEARING | unknown, 5: BEARING}}
-    found = inform(replace(one, laws=make_laws(LawsConfig.model_validate(section), (0, 5))))
-    assert found.determined.all()  # the oil is told by the bearing whose numbers are known
-    section = {"oil": oil, "bearings": {0: BEARING | unknown, 5: BEARING | unknown}}
-    found = inform(replace(one, laws=make_laws(LawsConfig.model_validate(section), (0, 5))))
+    sections = ({"oil": oil, "bearings": {0: BEARING | unknown, 5: of}} for of in (BEARING, BEARING | unknown))
+    laws = (make_laws(LawsConfig.model_validate(section), (0, 5)) for section in sections)
+    told, found = (inform(replace(one, laws=given)) for given in laws)
+    assert told.determined.all()  # the oil is told by the bearing whose numbers are known
     assert [one.name for one, told in zip(found.parameters, found.determined, strict=True) if not told] == [
         "oil.viscosity"
     ]
@@ -126,13 +126,9 @@ def test_a_warmer_oil_is_read_as_if_it_had_been_measured() -> None:
 )
 def test_too_few_temperatures_are_a_named_error(temperatures: list[float], oil: Mapping[str, Any], words: str) -> None:
     laws = make_laws(LawsConfig.model_validate({"oil": oil, "bearings": {0: BEARING}}), (0,))
-    given = {"oil_temperature": np.array(temperatures)}
-    if not words:
-        require_temperatures(laws, given)
-        return
-    with pytest.raises(IdentifiabilityError, match=words) as caught:
-        require_temperatures(laws, given)
-    assert "measure at a further oil temperature, 15 K apart" in str(caught.value)
+    law = rf"(?s){words}.*measure at a further oil temperature, 15 K apart"
+    with pytest.raises(IdentifiabilityError, match=law) if words else nullcontext():
+        require_temperatures(laws, {"oil_temperature": np.array(temperatures)})
 
 
 def test_a_search_that_passes_a_singular_machine_turns_back() -> None:

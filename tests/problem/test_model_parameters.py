@@ -214,9 +214,10 @@ def test_a_parameter_that_the_machine_lacks_is_refused(kind: str, measurement: M
 )
 def test_what_leaves_the_shaft_is_refused(kind: str, deviation: float, law: str, measurement: Measurement) -> None:
     """The bearing at node 1 has 150 mm to the end; a probe may go either way."""
-    one = measurement
     with pytest.raises(ConfigError, match=law):
-        model_parameters({kind: deviation}, one.rotor, one.dataset, one.known, one.unknowns)
+        model_parameters(
+            {kind: deviation}, measurement.rotor, measurement.dataset, measurement.known, measurement.unknowns
+        )
 
 
 def test_a_bow_that_a_baseline_took_off_is_refused(measurement: Measurement) -> None:

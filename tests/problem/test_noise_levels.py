@@ -85,8 +85,7 @@ def test_one_way_analysis_of_variance_is_the_closed_form() -> None:
         record_covariance=np.array([[[within]]]),
     )
     levels, _ = estimate_noise_levels(conditions, np.ones((n, 1)), robust=False)
-    assert levels.condition[0, 0] == pytest.approx((between - within) / count, rel=1e-12)
-    assert levels.freedom == n - 1
+    assert (levels.condition[0, 0], levels.freedom) == (pytest.approx((between - within) / count, rel=1e-12), n - 1)
 
 
 def test_a_bad_condition_moves_the_levels_little() -> None:

@@ -95,9 +95,8 @@ def measured(
     unknowns = unknown_set(dict.fromkeys(NODES, tie(COEFFICIENTS)))
     known = BearingTable(NODES, SPEEDS, np.zeros((2, len(SPEEDS), 8)))
     parameters = model_parameters(dict.fromkeys(KINDS, 1.0), stated, data, known, unknowns)
-    guess = Guess(1e7, 1e4, within=30.0)
     noise = noise or NoiseModel(1e-13, 1e-8)
-    return Measurement(stated, data, known, noise, unknowns, guess, parameters=parameters)
+    return Measurement(stated, data, known, noise, unknowns, Guess(1e7, 1e4, within=30.0), parameters=parameters)
 
 
 def errors(answer: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -179,8 +178,7 @@ def test_cross_terms_of_supports_come_back_from_exact_readings() -> None:
     data, made = readings(load_rotor(config(crossed=CROSSED)), (SHAFT, CASING)), measured()
     kinds = dict.fromkeys(KINDS, 1.0) | {"support_cross_stiffness": 1e7, "support_cross_damping": 1e4}
     parameters = model_parameters(kinds, made.rotor, data, made.known, made.unknowns)
-    exact = replace(made, dataset=data, parameters=parameters)
-    answer = fit(exact, default_setup(Guess(1e7, 1e4), constant=True))
+    answer = fit(replace(made, dataset=data, parameters=parameters), default_setup(Guess(1e7, 1e4), constant=True))
     shifts = {p.name: p.deviation * v for p, v in zip(parameters, answer.uncertainty.parameters, strict=True)}
     for letter, kind in (("k", "support_cross_stiffness"), ("c", "support_cross_damping")):
         for node, axes in ((1, "xy"), (1, "yx"), (6, "xy"), (6, "yx")):
@@ -224,8 +222,7 @@ def test_the_noise_of_a_simulated_probe_is_constant_in_what_it_measures() -> Non
     orders, sizes = np.argmax(FLOORS, axis=1), np.max(FLOORS, axis=1)
     for half in np.split(np.abs(drawn * speeds[:, None] ** orders) ** 2, 2):
         assert half.mean(axis=0) == pytest.approx(sizes**2, rel=0.1)
-    told = noise.floor_at(speeds[:, None])[..., 0]
-    assert told == pytest.approx(sizes / speeds[:, None] ** orders)
+    assert noise.floor_at(speeds[:, None])[..., 0] == pytest.approx(sizes / speeds[:, None] ** orders)
 
 
 @pytest.mark.slow
@@ -254,8 +251,7 @@ def seen_in_x(turning: float, guess: Guess) -> tuple[Measurement, BearingTable]:
     rotor = replace(rotor, gyroscopic=turning * rotor.gyroscopic)
     real, nothing = (replace(films(), values=films().values * kept) for kept in (np.isin(COEFFICIENTS, names), 0.0))
     data, noise = project(simulate(rotor, real, WEIGHTS), ((1, 0.0), (6, 0.0))), NoiseModel(5e-8, 0.01)
-    unknowns = unknown_set(dict.fromkeys(NODES, tie(names)))
-    return Measurement(rotor, data, nothing, noise, unknowns, guess), real
+    return Measurement(rotor, data, nothing, noise, unknown_set(dict.fromkeys(NODES, tie(names))), guess), real
 
 
 def test_a_probe_in_x_alone_tells_x_alone_where_nothing_couples_the_directions() -> None:

@@ -55,17 +55,14 @@ def test_nothing_is_subtracted_from_what_was_not_measured() -> None:
 def test_records_at_speeds_of_their_own_give_bearings_and_residual_unbalance_back() -> None:
     """Each run at every third speed: no two have a speed in common."""
     made, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 24), noise=0.0)
-    weights = [
-        Excitation(run, "unbalance", 2, size, angle) for run, size, angle in (("a", 5e-4, 0.3), ("b", 5e-4, 2.0))
-    ]
-    weights.append(Excitation("c", "unbalance", 2, 0.0, 0.0))
+    acting = (("a", 5e-4, 0.3), ("b", 5e-4, 2.0), ("c", 0.0, 0.0))
+    weights = [Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting]
     residual = tuple(Excitation(weight.run, "unbalance", 2, 2e-4, -1.0) for weight in weights)
     present = np.arange(24)[:, None] % 3 == np.arange(3)
     data = replace(made.dataset, runs=("a", "b", "c"), excitations=(*weights, *residual), present=present)
     read = project(simulate(made.rotor, bearings, data.excitations), data.channels).displacement * present[:, None]
     data = replace(data, displacement=read, excitations=tuple(weights))
-    unknowns = replace(made.unknowns, planes=(2,))
-    less = replace(made, dataset=data, unknowns=unknowns, noise=NoiseModel(1e-13, 1e-8))
+    less = replace(made, dataset=data, unknowns=replace(made.unknowns, planes=(2,)), noise=NoiseModel(1e-13, 1e-8))
     answer = fit(less, default_setup(less.guess, constant=True))
     np.testing.assert_allclose(
         answer.table(bearings).values[..., [0, 3, 4, 7]], bearings.values[..., [0, 3, 4, 7]], rtol=1e-7

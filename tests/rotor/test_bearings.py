@@ -58,7 +58,6 @@ def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
     np.testing.assert_allclose(values, table.values, rtol=1e-8, atol=1e-9 * size)
     for warm, load in ((313.0, 700.0), (333.0, 2000.0)):
         at = (STATES["oil_temperature"] == warm) & (STATES["load"] == load)
-        viscosity = 0.03 * np.exp(900 / (warm - 178.15) - 900 / 135.0)
         theirs = ross().CylindricalBearing(
             n=0,
             speed=SPEEDS[at],
@@ -66,7 +65,7 @@ def test_films_follow_temperature_and_load_as_the_laws_do() -> None:
             bearing_length=0.0499,
             journal_diameter=0.0998,
             radial_clearance=1e-4,
-            oil_viscosity=viscosity,
+            oil_viscosity=0.03 * np.exp(900 / (warm - 178.15) - 900 / 135.0),
         )
         listed = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)
         np.testing.assert_allclose(table.values[1, at], listed, rtol=1e-7, atol=1e-9 * size)
@@ -104,16 +103,16 @@ def test_a_named_table_is_that_of_its_rows() -> None:
 
 def test_a_condition_that_is_missing_is_named() -> None:
     film = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": OIL})
-    named = "need the operating condition oil_temperature, but there is load: give machine.operating.oil_temperature"
-    with refused(named, kind=ConfigError):
-        bearing_table(ROTOR, film, SPEEDS, {"load": STATES["load"]})
-    with refused("need the operating condition load", kind=ConfigError):
-        bearing_table(ROTOR, bearings({**BALL, "static_load": "condition"}), SPEEDS)
-    with refused("above Vogel's c", kind=ConfigError):
-        bearing_table(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, 150.0)})
-    with refused("span the Sommerfeld numbers", "choose speeds from", kind=ConfigError):
-        given = bearings({**TABLE, "static_load": "condition", "oil_viscosity": 0.02})
-        bearing_table(ROTOR, given, SPEEDS, {"load": np.full(15, 1.0)})
+    loaded = bearings({**TABLE, "static_load": "condition", "oil_viscosity": 0.02})
+    need, give = "need the operating condition", "give machine.operating.oil_temperature"
+    for given, states, words in (
+        (film, {"load": STATES["load"]}, [f"{need} oil_temperature, but there is load: {give}"]),
+        (bearings({**BALL, "static_load": "condition"}), {}, [f"{need} load"]),
+        (film, {"oil_temperature": np.full(15, 150.0)}, ["above Vogel's c"]),
+        (loaded, {"load": np.full(15, 1.0)}, ["span the Sommerfeld numbers", "choose speeds from"]),
+    ):
+        with refused(*words, kind=ConfigError):
+            bearing_table(ROTOR, given, SPEEDS, states)
 
 
 def test_kept_coefficients_are_those_of_their_conditions_and_file(tmp_path: Path) -> None:
@@ -124,8 +123,7 @@ def test_kept_coefficients_are_those_of_their_conditions_and_file(tmp_path: Path
     again = load_modelled_bearings(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, 330)})
     np.testing.assert_array_equal(again.values, warm.values)
     assert again.operating["oil_temperature"][0] == 330
-    path = tmp_path / "own.csv"
-    found = []
+    path, found = tmp_path / "own.csv", []
     for stiffness in (1, 2):
         rows = [f"{s},{stiffness},1,-1,1,1,0,0,1" for s in (0.001, 0.1, 10, 1000)]
         path.write_text("\n".join(["S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy", *rows]), encoding="utf-8")
@@ -169,5 +167,6 @@ def test_a_new_kind_that_ross_models_follows_its_load_without_more_code() -> Non
 def test_a_constant_oil_may_be_a_number_or_a_law() -> None:
     named = {"static_load": "500 N", "oil_viscosity": {"law": "constant", "viscosity": "20 mPa s"}}
     plain = {"static_load": "500 N", "oil_viscosity": "20 mPa s"}
-    tables = [bearing_table(ROTOR, bearings({**SHORT, **oil}), SPEEDS[:5]).values for oil in (named, plain)]
-    np.testing.assert_array_equal(*tables)
+    np.testing.assert_array_equal(
+        *(bearing_table(ROTOR, bearings({**SHORT, **oil}), SPEEDS[:5]).values for oil in (named, plain))
+    )

@@ -112,13 +112,12 @@ SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0*
 
 def jeffcott(density: float) -> RotorModel:
     """A disc (a point mass but for 1e-9 kg m^2) in the middle of a shaft of hardly any mass; no shear."""
-    disc = {"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}
     return assemble(
         RotorConfig.model_validate(
             {
                 "shaft": [{"length": 1.0, "outer_diameter": 0.02, "elements": 4}],
                 "material": STEEL | {"density": density},
-                "discs": [disc],
+                "discs": [{"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}],
                 "bearing_nodes": [0, 4],
                 "shear_effects": False,
             }
@@ -147,7 +146,7 @@ def test_jeffcott_critical_speed() -> None:
     expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
     speeds = expected * np.linspace(0.8, 1.2, 8)
     found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
-    assert len(found) == 2  # forward and backward, the same without gyroscopic effect
+    # Forward and backward, the same without gyroscopic effect.
     assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
 
 
@@ -204,12 +203,10 @@ def test_isotropic_bearings_give_circular_orbits(hydrostatic: Machine) -> None:
         hydrostatic.speeds,
         **{"kxx": 2e7, "kyy": 2e7, "kxy": 3e6, "kyx": -3e6, "cxx": 2e4, "cyy": 2e4, "cxy": 1e3, "cyx": -1e3},
     )
-    q = solve_response(hydrostatic.rotor, table, hydrostatic.excitations, hydrostatic.runs)
-    x, y = q[:, 0::4], q[:, 1::4]
-    assert np.abs(y + 1j * x).max() <= 1e-10 * np.abs(x).max()
-    backward = tuple(replace(e, whirl="backward") for e in hydrostatic.excitations)
-    q = solve_response(hydrostatic.rotor, table, backward, hydrostatic.runs)
-    assert np.abs(q[:, 1::4] - 1j * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
+    for whirl, turn in (("forward", -1j), ("backward", 1j)):
+        acting = tuple(replace(e, whirl=whirl) for e in hydrostatic.excitations)
+        q = solve_response(hydrostatic.rotor, table, acting, hydrostatic.runs)
+        assert np.abs(q[:, 1::4] - turn * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
 
 
 def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
@@ -219,10 +216,8 @@ def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
     """
     table = hydrostatic.bearings
     source = {"xx": ("yy", 1), "yy": ("xx", 1), "xy": ("yx", -1), "yx": ("xy", -1)}
-    columns = []
-    for name in COEFFICIENTS:
-        entry, sign = source[name[1:]]
-        columns.append(sign * table.coefficient(name[0] + entry))
+    moved = [(name[0], *source[name[1:]]) for name in COEFFICIENTS]
+    columns = [sign * table.coefficient(kind + entry) for kind, entry, sign in moved]
     turned = BearingTable(table.nodes, table.speeds, np.stack(columns, axis=-1))
     excitations = tuple(replace(e, phase=e.phase - math.pi / 2) for e in hydrostatic.excitations)
     q = solve_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
@@ -283,8 +278,7 @@ def test_product_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Gener
     rows, columns = np.array([5, 4, 21]), np.setdiff1d(np.arange(rotor.n_dof), [7])
     x = rng.normal(size=(len(speeds), len(columns), 2)) + 1j * rng.normal(size=(len(speeds), len(columns), 2))
     wanted = dense(rotor, None, frequencies, speeds)[:, rows[:, None], columns] @ x
-    found = apply(rotor, rows, columns, frequencies, speeds, x)
-    assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
+    assert np.abs(apply(rotor, rows, columns, frequencies, speeds, x) - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
 def test_unbalance_force(hydrostatic: Machine) -> None:

@@ -6,15 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from small_rotor import STEEL
+from small_rotor import steel_rotor
 
-from pipeline.config.rotor import RotorConfig
 from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import solve_response
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.interpolation import bearing_places, move_bearing, shaft_rows
 from pipeline.rotor.model import RotorModel, bearing_dof
-from pipeline.rotor.stored import load_rotor
 
 LENGTH = 0.56
 SPEEDS = np.linspace(40.0, 130.0, 4)
@@ -23,9 +21,7 @@ SPEEDS = np.linspace(40.0, 130.0, 4)
 def rig(elements: int, bearing_nodes: list[int], disc_nodes: list[int]) -> RotorModel:
     """A thin shaft, 10 mm, on which shear counts between neighbouring nodes."""
     discs = [{"node": k, "mass": 0.8, "diametral_inertia": 3.4e-4, "polar_inertia": 5.9e-4} for k in disc_nodes]
-    shaft = [{"length": LENGTH, "outer_diameter": 0.01, "inner_diameter": 0.0, "elements": elements}]
-    config = {"material": STEEL, "shaft": shaft, "discs": discs, "bearing_nodes": bearing_nodes, "shear_effects": True}
-    return load_rotor(RotorConfig.model_validate(config))
+    return steel_rotor((LENGTH, 0.01, elements), discs, bearing_nodes)
 
 
 @cache

@@ -76,8 +76,7 @@ def test_a_weight_turns_from_x_towards_y(rotor: RotorModel) -> None:
     at = [translation_dof(3, direction) for direction in range(2)]
     _, path = sample_motion(solve_response(rotor, bearings, (weight,), ("run",))[0, at, 0], 10.0)
     angles = np.degrees(np.unwrap(np.arctan2(path[:, 1], path[:, 0])))
-    assert angles[0] == pytest.approx(30.0, abs=0.01)
-    assert angles[-1] == pytest.approx(30.0 + 720.0, abs=0.01)
+    assert (angles[0], angles[-1]) == (pytest.approx(30.0, abs=0.01), pytest.approx(30.0 + 720.0, abs=0.01))
 
 
 def test_the_axes_are_right_handed(rotor: RotorModel) -> None:
@@ -103,5 +102,4 @@ def test_gyroscopic_moments_stiffen_what_whirls_as_the_shaft_turns(rotor: RotorM
     for i in order[:4]:  # two rigid-body modes, of either whirl
         x, y = (vectors[translation_dof(1, direction), i] for direction in range(2))
         whirl.append("forward" if abs(x - 1j * y) < abs(x + 1j * y) else "backward")
-    assert whirl[-1] == "forward"
-    assert sorted(whirl) == ["backward", "backward", "forward", "forward"]
+    assert (whirl[-1], sorted(whirl)) == ("forward", ["backward", "backward", "forward", "forward"])

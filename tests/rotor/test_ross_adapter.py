@@ -318,8 +318,7 @@ def test_seals_are_in_modes_and_in_time_and_no_parameter_changes_them(tmp_path: 
         assert max(np.abs(theirs - one).min() / one for one in ours) < 1e-6
     few = np.array([3])
     assert np.allclose(integrate(model, table.at(few), (UNBALANCE,)).displacement, found.displacement[few], rtol=1e-3)
-    change = rotor_change(ModelParameter("density", 0.1, ""), model)
-    assert change.seals.nodes == ()
+    assert rotor_change(ModelParameter("density", 0.1, ""), model).seals.nodes == ()
     assert model.fingerprint != assemble(saved(bearing(first()), tmp_path / "without.toml")[1]).fingerprint
 
 

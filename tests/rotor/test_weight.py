@@ -24,8 +24,7 @@ def test_two_bearings_share_the_weight_by_their_levers() -> None:
     rotor = _rotor([1, 6])
     shaft = 7810.0 * np.pi / 4 * 0.05**2 * 1.2
     lever = (shaft * (0.6 - 0.15) + 20.0 * (0.45 - 0.15)) / (0.9 - 0.15)
-    expected = GRAVITY * np.array([shaft + 20.0 - lever, lever])
-    assert find_static_loads(rotor) == pytest.approx(expected, rel=1e-2)
+    assert find_static_loads(rotor) == pytest.approx(GRAVITY * np.array([shaft + 20.0 - lever, lever]), rel=1e-2)
 
 
 def test_a_bearing_that_carries_nothing_has_a_tenth_of_the_weight() -> None:

@@ -30,10 +30,9 @@ def conditions_of(rng: np.random.Generator, n: int) -> Conditions:
 def as_dataset(conditions: Conditions) -> VibrationDataset:
     """Two equal records a condition."""
     runs = tuple(f"{name}.{k}" for name in conditions.names for k in (1, 2))
-    unbalance = np.repeat(conditions.unbalance, 2, axis=0)
     excitations = tuple(
         Excitation(run, "unbalance", node, float(abs(u)), float(np.angle(u)))
-        for run, row in zip(runs, unbalance, strict=True)
+        for run, row in zip(runs, np.repeat(conditions.unbalance, 2, axis=0), strict=True)
         for node, u in zip(conditions.planes, row, strict=True)
         if u
     )
@@ -76,8 +75,7 @@ def test_scores_follow_their_definitions() -> None:
     part = Forward(("a", "a", "b", "b"), response, error, np.full((4, 1, 1), 0.5))
     scores = score_forward([part])
     assert scores["median_relative_error"] == pytest.approx(np.median([0.1, 0.5]))
-    assert scores["r2"] == pytest.approx(1 - (0.04 + 0.16 + 4 + 4) / 3)
-    assert scores["coverage"] == pytest.approx(6 / 8)
+    assert (scores["r2"], scores["coverage"]) == (pytest.approx(1 - (0.04 + 0.16 + 4 + 4) / 3), pytest.approx(6 / 8))
     assert score_forward([part], without=["b"])["median_relative_error"] == pytest.approx(0.1)
     true = np.array([[30e-6, 3e-6], [0, 30e-6]])
     read = np.array([[31e-6j, 9e-6], [1e-6, 27e-6]])

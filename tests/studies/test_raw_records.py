@@ -46,13 +46,12 @@ def write(path: Path, turns: np.ndarray, vectors: np.ndarray) -> None:
     phi, after = 2 * np.pi * turns[:, None], np.mod(turns + 0.5, 1.0) * 360 - 180
     motion = np.real(vectors * np.exp(1j * phi)) + 3e-6 * np.cos(2 * phi + 1) + 2e-6 * phi / phi[-1]
     every = (motion + 1e-8 * np.random.default_rng(5).standard_normal(motion.shape)).T / VOLT
-    probes = dict(zip(("plane1_x", "plane1_y", "plane2_x", "plane2_y"), every, strict=True))
     np.savez(
         path,
         fs=12800,
         condition_id="A001",
         keyphasor=np.interp(after, [-2, 2, 14, 18], [0.1, -2.1, -2.1, 0.1]),
-        **probes,
+        **dict(zip(("plane1_x", "plane1_y", "plane2_x", "plane2_y"), every, strict=True)),
     )
 
 

@@ -65,15 +65,11 @@ def test_the_floor_of_a_probe_is_constant_in_what_it_measures() -> None:
     """a / w^k of the displacement, since U = (j w)^k V, beside a floor that all probes share."""
     stated = {"tg1": "0.1 m/s^2", "rad1": "3 mm/s", "tg2": "2 um", "ax1": "0 um"}
     overrides = [f"++machine.recordings.probes.{name}.floor='{size}'" for name, size in stated.items()]
-    config = compose_config(
-        ["experiment=mafaulda", "stated_noise={additive: 1 um, multiplicative: 0}", *overrides], MACHINE
-    )
-    measurement = read(config)
-    w = measurement.dataset.frequencies
-    floor = np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1)
-    nothing = np.zeros_like(measurement.dataset.displacement)
-    assert measurement.deviation_of(nothing) == pytest.approx(np.hypot(1e-6, floor))
-    wanted = np.hypot(1e-6, floor)
+    noise = "stated_noise={additive: 1 um, multiplicative: 0}"
+    measurement = read(compose_config(["experiment=mafaulda", noise, *overrides], MACHINE))
+    w, nothing = measurement.dataset.frequencies, np.zeros_like(measurement.dataset.displacement)
+    wanted = np.hypot(1e-6, np.stack([0.1 / w**2, 3e-3 / w, 2e-6 + 0 * w, 0 * w], axis=1))
+    assert measurement.deviation_of(nothing) == pytest.approx(wanted)
     assert measurement.deviation_of(nothing[..., :2], runs=np.arange(2)) == pytest.approx(wanted[..., :2])
     fewer = measurement.of_channels([1, 3])
     assert fewer.deviation_of(nothing[:, [1, 3]]) == pytest.approx(wanted[:, [1, 3]])
@@ -102,9 +98,8 @@ def test_a_floor_of_probes_is_noise_enough() -> None:
         compose_config([*alone, *probes], MACHINE)
     at = "machine.probes.at=[{node: 1, angle: 0 deg, floor: 3 mm/s}, {node: 1, angle: 90 deg}, {node: 5, angle: 0 deg}]"
     config = compose_config(["experiment=noisy_all", "stated_noise.multiplicative=0.01", at])
-    rotor = load_rotor(config.machine.rotor)
-    assert config.describe_noise() == "1 % and 3 mm/s noise"
-    assert configure_sensors(config, rotor).noise.floors == ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR)
+    floors = configure_sensors(config, load_rotor(config.machine.rotor)).noise.floors
+    assert (config.describe_noise(), floors) == ("1 % and 3 mm/s noise", ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR))
 
 
 def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:

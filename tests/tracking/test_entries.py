@@ -101,8 +101,7 @@ def test_names(name: str, expected: str, quiet: None) -> None:
 def test_limits_are_those_of_mlflow(quiet: None) -> None:
     from mlflow.utils import validation
 
-    assert NAME_LENGTH == validation.MAX_ENTITY_KEY_LENGTH
-    assert PARAMETER_LENGTH == validation.MAX_PARAM_VAL_LENGTH
+    assert (NAME_LENGTH, PARAMETER_LENGTH) == (validation.MAX_ENTITY_KEY_LENGTH, validation.MAX_PARAM_VAL_LENGTH)
     assert TAG_LENGTH == validation.MAX_TAG_VAL_LENGTH
 
 
@@ -126,8 +125,7 @@ def test_provenance_of_a_repository(tmp_path: Path) -> None:
     assert "git.revision" not in describe_provenance(tmp_path), "no commit yet"
     git("commit", "-q", "--allow-empty", "-m", "first")
     tags = describe_provenance(tmp_path)
-    assert len(tags["git.revision"]) == 40
-    assert tags["git.dirty"] == "false"
+    assert (len(tags["git.revision"]), tags["git.dirty"]) == (40, "false")
     (tmp_path / "new.py").touch()
     assert describe_provenance(tmp_path)["git.dirty"] == "true"
 

@@ -12,6 +12,7 @@ import sys
 import time
 from contextlib import closing
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -38,16 +39,8 @@ def at(uri: str, timeout_seconds: float = 10.0) -> TrackingConfig:
 
 def record(**changes: object) -> StageRecord:
     """A small stage's record, with ``changes``."""
-    parts: dict[str, object] = {
-        "experiment": "rotor rig",
-        "stage": "train",
-        "started": STARTED,
-        "ended": ENDED,
-        "parameters": {"seed": 3},
-        "tags": {},
-        "metrics": {},
-    }
-    return StageRecord(**(parts | changes))
+    of = {"experiment": "rotor rig", "stage": "train", "started": STARTED, "ended": ENDED}
+    return StageRecord(**(of | {"parameters": {"seed": 3}, "tags": {}, "metrics": {}} | changes))
 
 
 @pytest.fixture(scope="session")
@@ -114,20 +107,16 @@ def test_everything_in_a_record_is_read_back(
     figure.write_bytes(b"\x89PNG")
     history = [{"step": step, "loss": 1 / step, "held_out_loss": 2 / step, "phase": "adam"} for step in range(1, 601)]
 
-    problems = track(
-        record(
-            parameters={"model": {"hidden": [8, 8], "activation": "tanh"}, "data": {"file": None}, "seed": 3},
-            title="train rig seed=3",
-            data=tmp_path / "vibration.parquet",
-            tags={"data_fingerprint": "abc", "pipeline.group": "g1"},
-            metrics={"coefficients/kxx/mean_error_percent": 1.5},
-            history=history,
-            files=[table, figure],
-        ),
-        settings,
+    full = record(
+        parameters={"model": {"hidden": [8, 8], "activation": "tanh"}, "data": {"file": None}, "seed": 3},
+        title="train rig seed=3",
+        data=tmp_path / "vibration.parquet",
+        tags={"data_fingerprint": "abc", "pipeline.group": "g1"},
+        metrics={"coefficients/kxx/mean_error_percent": 1.5},
+        history=history,
+        files=[table, figure],
     )
-
-    assert problems == []
+    assert track(full, settings) == []
     assert capfd.readouterr() == ("", "")
     logged = Logged(settings)
     run = logged.run
@@ -142,10 +131,11 @@ def test_everything_in_a_record_is_read_back(
         "data.file": "null",
         "seed": "3",
     }
-    expected_tags = {"data_fingerprint": "abc", "pipeline.experiment": "rotor rig", "pipeline.stage": "train"}
-    assert run.data.tags.items() >= expected_tags.items()
-    assert run.data.tags["version.torch"].startswith("2.")
-    assert run.data.tags["version.python"].startswith("3.")
+    for tag, value in {
+        **{"data_fingerprint": "abc", "pipeline.experiment": "rotor rig", "pipeline.stage": "train"},
+        **{"version.torch": "2.", "version.python": "3."},
+    }.items():
+        assert run.data.tags[tag].startswith(value)
     assert run.data.metrics["coefficients/kxx/mean_error_percent"] == 1.5
     losses = logged.client.get_metric_history(run.info.run_id, "loss")
     assert [(loss.step, loss.value) for loss in losses] == [(row["step"], row["loss"]) for row in history]
@@ -168,11 +158,9 @@ def test_long_values_many_parameters_files_of_one_name_and_a_status(settings: Tr
     long = record(parameters=parameters, tags={"long": "y" * 20_000}, files=files, status="KILLED")
     assert track(long, settings) == []
     logged = Logged(settings)
-    assert logged.run.info.status == "KILLED"
+    assert (logged.run.info.status, len(logged.run.data.params)) == ("KILLED", 251)
     assert {"files/metrics.json", "files/b/metrics.json"} <= logged.files().keys()
-    assert len(logged.run.data.params) == 251
-    assert logged.run.data.params["long"].endswith("xxx...")
-    assert logged.run.data.tags["long"].endswith("yyy...")
+    assert (logged.run.data.params["long"][-6:], logged.run.data.tags["long"][-6:]) == ("xxx...", "yyy...")
     assert "x" * 20_000 in logged.files()["config.yaml"].read_text()
 
 
@@ -209,15 +197,11 @@ def test_a_part_that_fails_does_not_take_the_others_with_it(settings: TrackingCo
         f"MLflow does not have the file {tmp_path / 'gone.csv'}",
     ]
     run = Logged(settings).run
-    assert run.data.tags["good"] == "x"
-    assert run.info.status == "FINISHED"
+    assert (run.data.tags["good"], run.info.status) == ("x", "FINISHED")
 
 
 def test_interrupt_passes_through_and_marks_the_run(settings: TrackingConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(tracker, "collect_history", interrupt)
+    monkeypatch.setattr(tracker, "collect_history", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         track(record(), settings)
     assert Logged(settings).run.info.status == "KILLED"
@@ -242,13 +226,8 @@ def test_unreachable_server(uri: str) -> None:
 @pytest.mark.usefixtures("quiet")
 def test_server_that_never_answers() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
-        (problem,) = track(record(), at(uri, timeout_seconds=1.0))
+        (problem,) = track(record(), at(f"http://127.0.0.1:{server.getsockname()[1]}", timeout_seconds=1.0))
     assert "no answer within 1 s" in problem
-
-
-def _corrupt(path: Path) -> None:
-    path.write_bytes(bytes(range(256)) * 100)
 
 
 def _foreign(path: Path) -> None:
@@ -264,7 +243,10 @@ def _below_a_file(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (_corrupt, "is not a sound SQLite database (file is not a database); move it away"),
+        (
+            lambda path: path.write_bytes(bytes(range(256)) * 100),
+            "is not a sound SQLite database (file is not a database); move it away",
+        ),
         (_foreign, "is a database, but not MLflow's"),
         (_below_a_file, "can't be made there"),
         (Path.mkdir, "can't be made there"),
@@ -275,8 +257,7 @@ def test_unusable_database(spoil, reason: str, tmp_path: Path) -> None:
     path.parent.mkdir()
     spoil(path)
     (problem,) = track(record(), at(f"sqlite:///{path}"))
-    assert reason in problem
-    assert str(path) in problem
+    assert_says(problem, reason, str(path))
 
 
 def test_locked_database(settings: TrackingConfig) -> None:
@@ -407,8 +388,7 @@ def test_logged_model_predicts_in_a_new_process(settings: TrackingConfig, model_
     assert not Path(package).is_relative_to(CHECKOUT), "the model brings its own code"
     expected = tabulate_identified(load_model(model_folder), np.array([1500.0, 3000.0]))
     assert len(tables) == 2
-    for text in tables:
-        table = json.loads(text)
+    for table in map(json.loads, tables):
         assert list(table) == ["bearing_node", "speed_rpm", "kxx", "cyy"]
         assert list(table["bearing_node"].values()) == [3, 3, 7, 7]
         for name in ("speed_rpm", "kxx", "cyy"):
@@ -425,8 +405,7 @@ def test_logged_model_says_what_it_is(settings: TrackingConfig, model_folder: Pa
     logged = Logged(settings)
     (output,) = logged.run.outputs.model_outputs
     model = logged.client.get_logged_model(output.model_id)
-    assert model.status == "READY"
-    assert model.params == {"seed": "3"}
+    assert (model.status, model.params) == ("READY", {"seed": "3"})
     assert [(metric.key, metric.value) for metric in model.metrics] == [("loss", 0.5)]
     artifacts = Path(model.artifact_location.removeprefix("file://").replace("%20", " "))
     description = Model.load(str(artifacts))

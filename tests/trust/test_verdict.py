@@ -61,8 +61,7 @@ def of(judged: dict[str, Any], name: str) -> dict[str, Any]:
 
 def test_where_nothing_speaks_against_it_all_is_good() -> None:
     judged = record(gathered())
-    assert judged["machine"]["verdict"] == "good"
-    assert judged["machine"]["reservation"] == ""
+    assert (judged["machine"]["verdict"], judged["machine"]["reservation"]) == ("good", "")
     assert judged["bearings"][0]["reason"] == "8 of 8 coefficients are good."
 
 
@@ -113,8 +112,7 @@ def test_the_growth_is_that_of_the_first_speed_at_which_it_is_told_from_zero(mon
     monkeypatch.setattr("pipeline.twin.mode_deviations.deviate_modes", lambda *_: SimpleNamespace(growth=deviation))
     table = BearingTable((0,), np.array([100.0, 200.0, 300.0]), np.ones((1, 3, 8)))
     machine = cast(Any, SimpleNamespace(updated_rotor=None, select=lambda _: None))
-    found = find_growth(machine, table, cast(Any, None))
-    assert found == Growth(9.0, 1.0, pytest.approx(200 * 30 / np.pi))
+    assert find_growth(machine, table, cast(Any, None)) == Growth(9.0, 1.0, pytest.approx(200 * 30 / np.pi))
 
 
 @pytest.mark.parametrize(

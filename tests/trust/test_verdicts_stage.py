@@ -65,8 +65,10 @@ def test_a_loss_without_deviations_is_never_good() -> None:
 @pytest.mark.slow
 def test_a_range_where_nothing_holds_the_functions_is_no_bug(run: Run, tmp_path: Path) -> None:
     """The lowest speeds held out at 2 % noise: exponentials overflow there, and nothing else is said of them."""
-    asked = ["experiment=realistic", "machine=overhung", "machine.probes.multiplicative=0.02"]
-    asked += ["training.holdout_range=[400 rpm,1500 rpm]", "force=true"]
+    asked = [
+        *("experiment=realistic", "machine=overhung", "machine.probes.multiplicative=0.02"),
+        *("training.holdout_range=[400 rpm,1500 rpm]", "force=true"),
+    ]
     for stage in ("train", "verdict", "evaluate"):
         run(stage, asked, tmp_path)
     training = json.loads((tmp_path / "training.json").read_text(encoding="utf-8"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -51,16 +52,12 @@ def test_studies_are_gathered_once_and_beside_those_of_this_machine(tmp_path: Pa
     config = compose_config([f"tuning.storage=sqlite:///{tmp_path}/optuna.db"]).tuning
     storage = open_storage(config)
     optuna.create_study(study_name="paper", storage=storage).enqueue_trial({})
-    source = next(path for path in FILES if path.parent.name == "hydrostatic_stiffness_paper")
     copy = tmp_path / "paper" / TRIALS
     copy.parent.mkdir()
-    copy.write_bytes(source.read_bytes())
+    shutil.copy(ROOT / "studies" / "hydrostatic_stiffness_paper" / TRIALS, copy)
     for _ in range(2):
         shown = gather_studies(config, [copy], lambda study: {3: "its page"} if "committed" in study else {})
-        assert shown == [
-            ("paper", 1, 0),
-            ("paper (committed)", 20, 1),
-        ]
+        assert shown == [("paper", 1, 0), ("paper (committed)", 20, 1)]
     study = optuna.load_study(study_name="paper (committed)", storage=storage)
     attributes = storage.get_study_system_attrs(study._study_id)
     assert get_note_from_system_attrs(attributes, study.get_trials()[3]._trial_id)["body"] == "its page"
@@ -77,8 +74,8 @@ def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "artifacts" / "studies" / "mine"
     folder.mkdir(parents=True)
-    losses = {"configured": 1e-3, "promoted": 1e-9}
-    best = {"study": "mine", "trial": 4, "values": {"optimizer.adam.steps": 77}, "held_out_loss": losses}
+    best = {"study": "mine", "trial": 4, "values": {"optimizer.adam.steps": 77}}
+    best["held_out_loss"] = {"configured": 1e-3, "promoted": 1e-9}
     (folder / "best.yaml").write_text(yaml.safe_dump(best))
     (folder / "summary.json").write_text(json.dumps({"experiment": "ball_bearing"}))
     (folder / "README.md").write_text("# Study `mine`\n")

@@ -32,8 +32,7 @@ CHEAP = [
 @pytest.fixture(scope="module")
 def posed(tmp_path_factory: pytest.TempPathFactory) -> StudyProblem:
     """The problem; its storage is each test's own."""
-    folder = tmp_path_factory.mktemp("response_study")
-    config = compose_config([*CHEAP, f"output='{folder}'"])
+    config = compose_config([*CHEAP, f"output='{tmp_path_factory.mktemp('response_study')}'"])
     return pose_study(config, load_measurement(config))
 
 

@@ -92,8 +92,7 @@ def test_machines_that_make_a_study_together(database: str, start: Forks, make: 
     notes = [trial.user_attrs.get("note") for trial in trials_of(problem)]
     assert notes == ["the configured default"] + [None] * (len(notes) - 1)
     with stored(problem) as study:
-        assert study.user_attrs.keys() == {"made_from"}
-        assert study.metric_names == ["log10 of the held-out loss"]
+        assert (study.user_attrs.keys(), study.metric_names) == ({"made_from"}, ["log10 of the held-out loss"])
 
 
 def test_the_same_study_in_every_kind_of_storage(server: Server, make: Make, undisturbed: Undisturbed) -> None:

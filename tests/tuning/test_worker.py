@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from running import names_in
 
 from pipeline.__main__ import main
@@ -73,8 +74,7 @@ def stop_again_and_again(start: Forks, problem: StudyProblem, number: int, rng: 
 def test_a_study_that_is_undisturbed_has_trials_of_every_kind(undisturbed: Undisturbed, cheap: StudyProblem) -> None:
     """What the studies of this file are compared with: complete and pruned trials, all of them different."""
     trials = undisturbed()
-    assert len(trials) == TRIALS
-    assert trials[0][2] == find_default(cheap.config)
+    assert (len(trials), trials[0][2]) == (TRIALS, find_default(cheap.config))
     assert {state for _, state, *_ in trials} == {"COMPLETE", "PRUNED"}
     assert len({value for _, _, _, value, _, _ in trials}) == TRIALS
     assert all(curve for *_, curve, _ in trials)
@@ -148,9 +148,7 @@ def _reorder(problem: StudyProblem) -> StudyProblem:
 
 
 def _shorten(problem: StudyProblem) -> StudyProblem:
-    space = dict(problem.config.tuning.space)
-    del space["damping"]
-    return with_tuning(problem, space=space)
+    return with_tuning(problem, space={k: of for k, of in problem.config.tuning.space.items() if k != "damping"})
 
 
 def _with_optimizer(problem: StudyProblem) -> StudyProblem:
@@ -161,8 +159,7 @@ def _with_optimizer(problem: StudyProblem) -> StudyProblem:
 
 def _with_other_known(problem: StudyProblem) -> StudyProblem:
     known = problem.measurement.known
-    other = replace(problem.measurement, known=replace(known, values=known.values + 1.0))
-    return replace(problem, measurement=other)
+    return replace(problem, measurement=replace(problem.measurement, known=replace(known, values=known.values + 1.0)))
 
 
 CHANGES: dict[str, tuple[Callable[[StudyProblem], StudyProblem], list[str]]] = {
@@ -244,11 +241,9 @@ def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Fork
     assert runner.end() == 0, runner.said
     assert "a worker ended with exit code -9; the others took over its trial" in runner.said
     (repeat,) = (other for other in trials_of(problem) if other.user_attrs.get(REPEATS) == trial.number)
-    assert repeat.state.name == "COMPLETE"
-    assert repeat.params == trial.params
+    assert (repeat.state.name, repeat.params) == ("COMPLETE", trial.params)
     assert trial.intermediate_values.items() <= repeat.intermediate_values.items()
-    assert len(finished(problem)) == 3
-    assert len(trials_of(problem)) == 4
+    assert (len(finished(problem)), len(trials_of(problem))) == (3, 4)
 
 
 @pytest.mark.parametrize(("moment", "whole_group"), [("in a trial", True)])
@@ -264,9 +259,8 @@ def test_ctrl_c_stops_every_worker(moment: str, whole_group: bool, start: Forks,
         os.killpg(runner.pid, signal.SIGINT)
     else:
         runner.signal(signal.SIGINT)
-    assert runner.end() == 130, runner.said
+    assert (runner.end(), runner.said) == (130, "")
     assert ended(workers)
-    assert runner.said == ""
     assert {trial.state.name for trial in trials_of(problem)} <= {"COMPLETE", "FAIL"}
 
 
@@ -289,18 +283,12 @@ def _raises(error: BaseException) -> Callable[[Any], Any]:
     return fail
 
 
-def _linear_algebra() -> Exception:
-    import torch
-
-    return torch.linalg.LinAlgError("linalg.solve: the matrix is singular")
-
-
-FAILURES: dict[str, tuple[Callable[[], Callable[[Any], Any]], str]] = {
-    "diverged": (lambda: lambda batch: replace(batch, outcomes=(Outcome.DIVERGED,)), "diverged: the loss is not"),
-    "not finite": (lambda: lambda batch: replace(batch, parameters=batch.parameters * np.nan), "diverged: the loss"),
-    "linear algebra": (lambda: _raises(_linear_algebra()), "the matrix is singular"),
-    "memory": (lambda: _raises(MemoryError("a lot")), "MemoryError: a lot"),
-    "a law": (lambda: _raises(ConfigError("x must be y")), "ConfigError: x must be y"),
+FAILURES: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "diverged": (lambda batch: replace(batch, outcomes=(Outcome.DIVERGED,)), "diverged: the loss is not"),
+    "not finite": (lambda batch: replace(batch, parameters=batch.parameters * np.nan), "diverged: the loss"),
+    "linear algebra": (_raises(torch.linalg.LinAlgError("the matrix is singular")), "the matrix is singular"),
+    "memory": (_raises(MemoryError("a lot")), "MemoryError: a lot"),
+    "a law": (_raises(ConfigError("x must be y")), "ConfigError: x must be y"),
 }
 
 
@@ -310,7 +298,7 @@ def test_a_trial_that_fails_says_why_and_the_study_goes_on(
 ) -> None:
     """It is failed, with its reason, and counts as one of the total; the others are not touched."""
     fail, reason = FAILURES[failure]
-    failing(monkeypatch, 1, fail())
+    failing(monkeypatch, 1, fail)
     problem = make(n_trials=3)
     run_study(problem, silent)
     trials = finished(problem)
@@ -388,8 +376,7 @@ def test_the_command_line_goes_on_where_it_was_interrupted(
     # The last trials may be quicker than the signal; 130 and the sentence say that it was taken.
     assert 2 <= len(before) <= TRIALS
     monkeypatch.chdir(tmp_path)
-    arguments = command[command.index("stage=tune") :]
-    assert main(arguments) == 0
+    assert main(command[command.index("stage=tune") :]) == 0
     out = capsys.readouterr().out
     assert re.search(rf"{TRIALS} trials in", out)
     assert "optuna-dashboard sqlite:///studies.db" in " ".join(out.split())

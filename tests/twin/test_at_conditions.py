@@ -79,9 +79,8 @@ def test_functions_that_run_away_beyond_the_data_are_refused() -> None:
     class Runaway:
         def table(self, known: BearingTable) -> BearingTable:
             celsius = known.operating["oil_temperature"] - 273.15
-            values = np.zeros_like(known.values)
-            values[...] = 1e6 * np.exp(0.7 * np.maximum(celsius - 65.0, 0.0))[None, :, None]
-            return replace(known, values=values)
+            size = 1e6 * np.exp(0.7 * np.maximum(celsius - 65.0, 0.0))[None, :, None]
+            return replace(known, values=size * np.ones_like(known.values))
 
     def ask(celsius: float) -> BearingTable:
         return evaluate_at(Runaway(), measurement, {"oil_temperature": celsius + 273.15}, KEY)[1]
@@ -107,8 +106,7 @@ def test_bands_grow_outside_the_measured_temperatures(warm: tuple) -> None:
         table = found.table(table_at(measurement.known, {"oil_temperature": celsius + 273.15}, KEY))
         deviation = found.deviation(table.speeds, table.operating)
         true = warm_bearings(table.speeds, np.full(len(SPEEDS), celsius)).values[..., [0, 3, 4, 7]]
-        share = (deviation / np.abs(table.values))[..., [0, 3, 4, 7]]
-        spread[celsius] = share
+        share = spread[celsius] = (deviation / np.abs(table.values))[..., [0, 3, 4, 7]]
         assert np.mean(np.abs(table.values[..., [0, 3, 4, 7]] / true - 1.0) < 3 * share) > 0.9
     inside = np.max([spread[45.0], spread[55.0], spread[65.0]], axis=0)
     assert (np.median(spread[80.0], axis=1) > np.median(inside, axis=1)).all()

@@ -55,11 +55,9 @@ def test_derivatives_by_coefficients_equal_differences(hydrostatic: Machine) -> 
     values, by_coefficient, _ = derive(rotor, bearings, s, [])
     for b, c in np.ndindex(2, 8):
         step = 1e-4 * np.abs(bearings.values[b, s, :4] if c < 4 else bearings.values[b, s, 4:]).max()
-        ends = []
-        for sign in (1, -1):
-            moved = bearings.values.copy()
-            moved[b, s, c] += sign * step
-            ends.append(eigenvalues(rotor, replace(bearings, values=moved), s))
+        move = np.zeros_like(bearings.values)
+        move[b, s, c] = step
+        ends = [eigenvalues(rotor, replace(bearings, values=bearings.values + each), s) for each in (move, -move)]
         differences = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(by_coefficient[:, b, c], differences, atol=1e-4 * np.abs(differences).max())
     assert by_coefficient.shape == (len(values), 2, 8)
@@ -82,9 +80,8 @@ def test_derivatives_by_model_parameters_equal_differences(
     """Also by the place of a bearing inside an element, 20 mm beyond the node."""
     rotor, bearings, s = move_bearing(hydrostatic.rotor, 1, 0.02), hydrostatic.bearings, 12
     parameter = ModelParameter(kind, size, "", place)
-    moves = kind == "bearing_position"
-    change = derive_place(rotor, parameter, bearings.values[:, s]) if moves else rotor_change(parameter, rotor)
-    by_rotor = derive(rotor, bearings, s, [change, None])[2]
+    moved = derive_place(rotor, parameter, bearings.values[:, s]) if kind == "bearing_position" else None
+    by_rotor = derive(rotor, bearings, s, [moved or rotor_change(parameter, rotor), None])[2]
     step = 1e-3
     ends = [eigenvalues(update_rotor(rotor, [replace(parameter, value=v)]), bearings, s) for v in (step, -step)]
     differences = (ends[0] - ends[1]) / (2 * step)
@@ -144,8 +141,7 @@ def test_intervals_of_critical_speeds_hold(rolling: Machine) -> None:
                     abs(there.logarithmic_decrement - one.logarithmic_decrement) < 1.96 * decrement,
                 ]
             )
-    share = np.mean(inside, axis=0)
-    np.testing.assert_allclose(share, 0.95, atol=0.033)
+    np.testing.assert_allclose(np.mean(inside, axis=0), 0.95, atol=0.033)
 
 
 def test_a_critical_speed_follows_its_stiffness(rolling: Machine) -> None:
@@ -211,8 +207,7 @@ def test_the_modes_of_realistic_lie_within_their_deviations(artifacts) -> None:
     """What `make reproduce` made: the truth, a machine that was not built as modelled, within three deviations."""
     found = artifacts.read("realistic", "prediction")
     truth, answer = found["modelled"]["critical_speeds"], found["identified"]["critical_speeds"]
-    assert truth.keys() == answer.keys()
-    assert len(truth) == 2
+    assert (truth.keys(), len(truth)) == (answer.keys(), 2)
     for number, one in answer.items():
         for key in ("rpm", "logarithmic_decrement", "amplification_factor", "separation_margin_percent"):
             assert abs(one[key] - truth[number][key]) < 3 * one[f"{key}_std"], (number, key)

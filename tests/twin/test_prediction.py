@@ -41,8 +41,7 @@ def test_a_sum_of_runs_is_predicted_to_rounding(rotor_of: Machine) -> None:
 
 def test_a_residual_unbalance_needs_a_run_more(rotor_of: Machine) -> None:
     """Two runs and what they hide are three unknowns; a run as found gives the third, or is subtracted."""
-    found = Excitation("as_found", "unbalance", 2, 0.0, 0.0)
-    data = runs_of(rotor_of, FIRST, SECOND, *BOTH, found, hidden=5e-5)
+    data = runs_of(rotor_of, FIRST, SECOND, *BOTH, Excitation("as_found", "unbalance", 2, 0.0, 0.0), hidden=5e-5)
     assert find_shares(data, [0, 1], BOTH, data.speeds, True) is None
     summed = data.displacement @ find_shares(data, [0, 1, 3], BOTH, data.speeds, True)
     assert error_percent(summed, data.displacement[..., 2]) < 1e-9
@@ -81,8 +80,7 @@ def test_the_model_and_its_rivals_beside_each_other(rotor_of: Machine) -> None:
         said[name] = {what: entry["rival_error_percent"] for what, entry in judged.items()}
         assert all(entry["model_error_percent"] < 0.1 for entry in judged.values())
     assert (said["inside"]["run second"], said["inside"]["run both"]) == (None, None)
-    inside = said["inside"]["range of speeds, 3000 to 4000 rpm"]
-    assert 0 < inside < 100
+    assert 0 < said["inside"]["range of speeds, 3000 to 4000 rpm"] < 100
     assert said["at the end"] == dict.fromkeys(("run second", "run both", "range of speeds, 5600 to 6000 rpm"))
 
 
