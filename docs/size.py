@@ -21,7 +21,7 @@ EMPTY = frozenset({"one", "found", "own", "of", "words", "part", "moved", "there
 """Words that say nothing of what they name."""
 
 STATEMENTS = {
-    "config": 1713,
+    "config": 1715,
     "laws": 493,
     "rotor": 737,
     "data": 1065,
@@ -29,7 +29,7 @@ STATEMENTS = {
     "sweep": 247,
     "ingest": 1621,
     "problem": 1528,
-    "identification": 2910,
+    "identification": 2911,
     "evaluation": 208,
     "twin": 490,
     "balance": 670,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18522, 14500),
+    "statements of pipeline/": (18525, 14500),
     "files": (249, 250),
     "classes": (321, 260),
     "is None, is not None": (318, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (115, 200),
-    "statements of tests/": (13475, 13000),
+    "statements of tests/": (12993, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "functions entered by ingest and train of measured_demo": (773, 380),
     "their files": (111, 75),

@@ -37,6 +37,12 @@ def explain_schema_errors(error: ValidationError, mapping: Mapping[str, Any], mo
     )
 
 
+def name_first(error: ValidationError) -> str:
+    """The first place of a file that is wrong, and how."""
+    first = error.errors(include_url=False)[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+
+
 def suggest(name: str, candidates: Iterable[str]) -> str:
     """:func:`pipeline.errors.nearest` with the mark that joins it to the sentence before."""
     matches = nearest(name, candidates)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from pipeline.config.loader import CONF, parse_key
-from pipeline.config.messages import explain_schema_errors
+from pipeline.config.messages import explain_schema_errors, name_first
 from pipeline.config.models import model_fields
 from pipeline.config.section import Section
 from pipeline.config.tuning import HeldOutLoss, Key, Value
@@ -106,8 +106,7 @@ def read_promoted(folder: Path) -> PromotedTrial | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        reason = name_first(error)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
     raise DataError(

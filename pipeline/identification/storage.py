@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.messages import name_first
 from pipeline.errors import DataError
 from pipeline.files import hash_file, read_json, write_beside, write_json
 from pipeline.identification.identified import Answer, IdentifiedModel, answer_of
@@ -45,7 +46,7 @@ def save_model(folder: Path, identified: IdentifiedModel) -> list[Path]:
 def load_model(folder: Path) -> IdentifiedModel:
     """Read what :func:`save_model` wrote. Raises DataError: missing, damaged or of another schema."""
     import torch
-    from pydantic import TypeAdapter
+    from pydantic import TypeAdapter, ValidationError
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
@@ -79,11 +80,12 @@ def load_model(folder: Path) -> IdentifiedModel:
             if not holds:
                 raise ValueError(wrong)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        wrong = name_first(error) if isinstance(error, ValidationError) else str(error)
         raise DataError(
-            f"'{folder}' must hold a complete trained model, but it does not ({error}): train again with stage=train"
+            f"'{folder}' must hold a complete trained model, but it does not ({wrong}): train again with stage=train"
         ) from None
-    shared = len(model.scale) < len(nodes)
-    return IdentifiedModel(model, UnknownSet(model.unknowns, expansion, shared), nodes, parameters, laws, theta)
+    unknowns = UnknownSet(model.unknowns, expansion, shared=len(model.scale) < len(nodes))
+    return IdentifiedModel(model, unknowns, nodes, parameters, laws, theta)
 
 
 # --- with the measurement --------------------------------------------------------------------------------

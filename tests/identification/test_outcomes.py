@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -195,9 +194,6 @@ DAMAGES = {
     "no architecture": lambda folder: (folder / ARCHITECTURE).unlink(),
     "architecture is no JSON": lambda folder: (folder / ARCHITECTURE).write_text("{"),
     "architecture is a list": lambda folder: (folder / ARCHITECTURE).write_text("[]"),
-    "model has no fields": lambda folder: (folder / ARCHITECTURE).write_text(
-        json.dumps(json.loads((folder / ARCHITECTURE).read_text()) | {"model": {}})
-    ),
 }
 
 

@@ -90,6 +90,7 @@ MODEL: dict[str, tuple[str, object, str]] = {
     "no schema": ("schema", None, "must have schema 3"),
     "no model": ("model", None, "must"),
     "model is a list": ("model", [1, 2], "must"),
+    "no fields": ("model", {}, "unknowns: Field required"),
     "another architecture": ("model.hidden", [3], "must"),
     "bearings of another rotor": ("bearing_nodes", [0], "must"),
     "nodes that are not the rotor's bearings": ("bearing_nodes", [0, 1], "must"),
