@@ -29,7 +29,7 @@ STATEMENTS = {
     "sweep": 247,
     "ingest": 1621,
     "problem": 1528,
-    "identification": 2911,
+    "identification": 2912,
     "evaluation": 208,
     "twin": 490,
     "balance": 670,
@@ -40,13 +40,13 @@ STATEMENTS = {
     "tuning": 480,
     "reporting": 2440,
     "tracking": 336,
-    "stages": 1067,
+    "stages": 1071,
     "beside the rooms": 570,
 }
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18525, 14500),
+    "statements of pipeline/": (18530, 14500),
     "files": (249, 250),
     "classes": (321, 260),
     "is None, is not None": (318, 420),

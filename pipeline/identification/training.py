@@ -224,6 +224,13 @@ def minimise(
         ) from None
 
 
+_MINIMISERS: dict[str, Callable[..., torch.Tensor]] = {
+    "adam": optimizers.adam,
+    "lbfgs": optimizers.lbfgs,
+    "levenberg_marquardt": optimizers.levenberg_marquardt,
+}
+
+
 def _minimise(
     problem: LeastSquares,
     parameters: torch.Tensor,
@@ -249,7 +256,7 @@ def _minimise(
         for name in ("levenberg_marquardt",) if together else phases(setup.optimizer):
             section = getattr(setup.optimizer, name)
             monitor.begin("trained" if together else name, section.steps, section.patience)
-            parameters = getattr(optimizers, name)(problem, parameters, section, monitor)
+            parameters = _MINIMISERS[name](problem, parameters, section, monitor)
     except KeyboardInterrupt:
         interrupted = True
     return Minimum(

@@ -105,7 +105,7 @@ def _judge(
     if constant and not somewhere:  # all speeds together tell unknowns that are the same at every speed
         every = (matrix / np.abs(matrix).max(axis=(1, 2), keepdims=True)).reshape(-1, matrix.shape[-1])
         somewhere = np.linalg.matrix_rank(unit_columns(every), tol=DEPENDENT) == len(names)
-    # Of the orbits (x, y) of the runs, each of unit size; the best bearing's counts.
+    # The orbits (x, y) of the runs have unit size each; the best bearing counts.
     orbits = [decompose(unit_columns(equations.displacement[b]).conj().swapaxes(1, 2))[0] for b in bearings]
     orbit_rank = np.max([count_determined(each) for each in orbits], axis=0)
     alone, never = f"the runs do not determine {', '.join(names)}", _reason(names, rank, orbit_rank, equations)

@@ -47,13 +47,6 @@ class Analysis:
     config: Config
     made: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
-    folder = property(lambda self: Path(self.config.output), doc="Where its files lie.")
-    vibration = property(lambda self: Path(self.config.data.vibration or self.folder / "vibration.parquet"))
-    excitation = property(lambda self: Path(self.config.data.excitation or self.folder / "excitation.csv"))
-    own = property(
-        lambda self: not (self.config.data.vibration or self.config.data.excitation),
-        doc="Whether vibration and excitation are the experiment's own.",
-    )
     known = _file("known_coefficients.csv", "What it takes as known.")
     configuration = _file("config.yaml", "The composed configuration.")
     modelled = _file("modelled_coefficients.csv", "The truth of modelled data; training never reads it.")
@@ -63,13 +56,33 @@ class Analysis:
     metrics = _file("metrics.json", "Errors, written by evaluate.")
 
     @property
+    def folder(self) -> Path:
+        """Where its files lie."""
+        return Path(self.config.output)
+
+    @property
+    def vibration(self) -> Path:
+        """The readings."""
+        return Path(self.config.data.vibration or self.folder / "vibration.parquet")
+
+    @property
+    def excitation(self) -> Path:
+        """What excited the runs."""
+        return Path(self.config.data.excitation or self.folder / "excitation.csv")
+
+    @property
+    def own(self) -> bool:
+        """Whether vibration and excitation are the experiment's own."""
+        return not (self.config.data.vibration or self.config.data.excitation)
+
+    @property
     def model(self) -> tuple[Path, ...]:
         """What was trained: numbers, architecture and covariance."""
         return tuple(self.folder / name for name in ("model.safetensors", "model.json", "uncertainty.safetensors"))
 
     def figure(self, name: str) -> Path:
         """A figure's path."""
-        return Path(self.folder / "figures" / f"{name}.png")
+        return self.folder / "figures" / f"{name}.png"
 
     def at(self, config: Config) -> Analysis:
         """That of another stage; what was made is kept where nothing else of the configuration differs."""
