@@ -23,6 +23,7 @@ from pipeline.methods.method import (
     require_residual,
 )
 from pipeline.problem.measurement import Measurement
+from pipeline.write_numbers import write_number
 
 
 def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measurement, MethodOptions], Estimate]:
@@ -43,7 +44,7 @@ def fit_by(section: Callable[[MethodOptions], FitConfig]) -> Callable[[Measureme
             raise Refusal("not_determined", str(error)) from None
         text = f"{fitted.outcome.label} after {fitted.steps} steps"
         if fitted.uncertainty:
-            text += f", {fitted.quality.summary['fit']['chi_square']['numbers']} numbers"
+            text += f", {write_number(fitted.quality.summary['fit']['chi_square']['numbers'])} numbers"
         table = fitted.table(data.known)
         stated = fitted.uncertainty.state(table) if fitted.uncertainty else table
         return Estimate(stated, text, doubt(fitted.quality.misfit))
