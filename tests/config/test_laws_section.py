@@ -8,18 +8,20 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from pipeline.config.compose import compose_config
 from pipeline.config.messages import explain_schema_errors
-from pipeline.config.quantities import to_si
-from pipeline.errors import ConfigError
 from pipeline.laws.law_set import LawsConfig
 
-OIL = {"law": "exponential", "reference": "55 degC", "viscosity": {"guess": "20 mPa s", "within": 5}, "slope": 0.03}
+GUESSED_OIL = {
+    "law": "exponential",
+    "reference": "55 degC",
+    "viscosity": {"guess": "20 mPa s", "within": 5},
+    "slope": 0.03,
+}
 SIZES = {"journal_diameter": "99.6 mm", "length": "49.9 mm", "static_load": "892.7 N"}
 VOGEL = {"law": "vogel", "reference": "20 degC", "viscosity": "1 Pa s", "b": "900 K", "c": "30 degC"}
 
 
-def mapping(oil: Any = OIL, **changes: Any) -> dict[str, Any]:
+def mapping(oil: Any = GUESSED_OIL, **changes: Any) -> dict[str, Any]:
     """The section with one bearing's law."""
     bearing = {"kind": "short_journal", **SIZES, "radial_clearance": {"guess": "0.1 mm"}, **changes}
     return {"oil": oil, "bearings": {1: bearing}}
@@ -62,26 +64,3 @@ def test_what_no_bearing_can_be_is_refused(changes: dict[str, Any], said: str) -
     with pytest.raises(ValidationError) as error:
         LawsConfig.model_validate(given)
     assert re.search(said, explain_schema_errors(error.value, given, LawsConfig))
-
-
-def test_a_machine_has_laws_of_its_bearing_nodes() -> None:
-    laws = "{bearings: {%d: {kind: ball, n_balls: 8, ball_diameter: 9 mm, contact_angle: 0.3, load: {guess: 50 N}}}}"
-    assert list(compose_config(["machine=two_discs", f"machine.laws={laws % 5}"]).machine.laws.bearings) == [5]
-    with pytest.raises(ConfigError, match=r"laws.bearings must have bearing nodes of the rotor .*, but has node 2"):
-        compose_config(["machine=two_discs", f"machine.laws={laws % 2}"])
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "si"),
-    [
-        ("45 degC", "K", 318.15),
-        ("-40 °C", "K", 233.15),
-        ("113 degF", "K", 318.15),
-        ("318 K", "K", 318.0),
-        ("0.034 1/degC", "1 / K", 0.034),
-        ("0.034 / K", "1 / K", 0.034),
-        ("27.7 mPa s", "Pa * s", 0.0277),
-    ],
-)
-def test_temperatures_have_a_zero_of_their_own_and_differences_none(text: str, unit: str, si: float) -> None:
-    assert to_si(text, unit, "45 degC") == pytest.approx(si, rel=1e-12)

@@ -1,4 +1,4 @@
-"""Laws of bearings against ROSS, the modelled table, similarity, turned axes, and finite differences."""
+"""Laws of bearings, and their section: against ROSS, the modelled table, similarity, turned axes, differences."""
 
 from __future__ import annotations
 
