@@ -19,9 +19,7 @@ from measured_files import (
     long,
     probes_config,
     table_config,
-    uff_set,
     write_hdf5,
-    write_uff,
 )
 from reading import (
     GRID,
@@ -31,7 +29,6 @@ from reading import (
     check_read,
     check_steady,
     long_table,
-    parsed,
     read,
     seen,
     steady,
@@ -40,7 +37,6 @@ from reading import (
 
 from pipeline.config.motion import find_motion, to_motion
 from pipeline.errors import ConfigError
-from pipeline.ingest.plausibility import note_casing
 
 UNITS = {  # of SI; in/s and mil/s by the inch, g by the standard acceleration
     "velocity": {"mm/s": 1e-3, "m/s": 1.0, "in/s": 0.0254, "ips": 0.0254, "um/s": 1e-6},
@@ -102,39 +98,6 @@ def test_a_table_of_voltages(scale: str, order: int, volts: float, tmp_path: Pat
         probes=probes_config(scale=lambda name: scale, **(ON if order else {})),
     )
     check_read(read(section))
-
-
-@pytest.mark.parametrize(
-    ("kind", "unit", "of", "order", "size"), [("velocity", "mm/s", 11, 1, 1e-3), ("acceleration", "g", 12, 2, 9.80665)]
-)
-def test_functions_of_universal_files(kind: str, unit: str, of: int, order: int, size: float, tmp_path: Path) -> None:
-    """Ordinate types 11 and 12; the other is refused."""
-    sets = [
-        uff_set(
-            GRID,
-            vector * (1j * GRID * RPM) ** order / size,
-            *(i + 1, 1),
-            texts=[name, f"run {run}"],
-            ordinate_spec_data_type=of,
-            ordinate_axis_units_lab=unit,
-        )
-        for run, turn in TURNS.items()
-        for i, (name, vector) in enumerate(seen(turn).of.items())
-    ]
-    conventions = {"amplitude": "zero_to_peak", "phase": "lead", "speed": "rpm"}
-    section = {
-        "format": "uff58",
-        "conventions": conventions | {kind: unit},
-        "probes": probes_config(record=lambda name: name, **ON),
-        "shaft_angle": "from_x",
-        "file": str(write_uff(tmp_path / "a.uff", sets)),
-        "runs": [run | {"label": f"run {run['name']}"} for run in RUNS],
-    }
-    check_read(read(section), 1e-9)
-    with refused("must hold displacements, but it says that it holds", f"machine.recordings.conventions.{kind}"):
-        read(
-            section | {"conventions": conventions | {"length": "um"}, "probes": probes_config(record=lambda name: name)}
-        )
 
 
 def test_time_signals_of_velocity(tmp_path: Path) -> None:
@@ -206,20 +169,6 @@ def test_units_that_do_not_fit_are_named(case: str) -> None:
     changes, words = WRONG[case]
     with refused(words, "machine.recordings", kind=ConfigError):
         with_ingest(table_config([RUNS[0] | {"file": "a.csv"}], **changes))
-
-
-def test_the_motion_of_a_casing_is_warned_of_at_a_bearing_and_refused_elsewhere() -> None:
-    probes = parsed(
-        table_config(
-            [RUNS[0] | {"file": "a.csv"}],
-            conventions=said("velocity", "mm/s"),
-            probes=probes_config(**ON, **PAIR),
-        )
-    ).probes
-    (words,) = note_casing(probes, (0, 2), 6)
-    assert "probes on the casing (A, B, C, D) are taken for the shaft's motion" in words
-    with refused("machine.recordings.probes.C must be at a bearing (0, 5)", "it is at node 2", kind=ConfigError):
-        note_casing(probes, (0, 5), 6)
 
 
 def test_the_gram_is_no_unit_here() -> None:

@@ -1,4 +1,4 @@
-"""Runs at speeds of their own: ROSS's response at each run's speeds, read from tables, tells what a full grid tells."""
+"""Runs at speeds of their own, read from tables of ROSS's response: they tell what a full grid tells, in any order."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from conftest import assert_says, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from measured_files import PAIR, Vectors, long, probes_config, table_config, vectors_of, wide
-from reading import GRID, RPM, RUNS, long_table, notes, read, seen, wide_runs
+from measured_files import PAIR, Vectors, probes_config, table_config, vectors_of, wide
+from reading import RPM, read
 
 from benchmarks.machines import Machine, machine
 from benchmarks.ross_oracle import ross_rotor
@@ -89,28 +88,3 @@ def test_the_order_of_runs_does_not_matter(masks: list[set[int]], order: list[in
     np.testing.assert_array_equal(turned.speeds, straight.speeds)
     np.testing.assert_array_equal(turned.displacement, straight.displacement[..., order])
     np.testing.assert_array_equal(turned.present, straight.present[:, order])
-
-
-def test_how_many_readings_each_run_has_is_said(tmp_path: Path) -> None:
-    """Rows as they are, those of 0.03 % apart as one; or interpolated, each run within its range."""
-    runs = wide_runs(tmp_path, two=seen(1.1, np.append(GRID[2:8] * 1.0003, 2900.0)))
-    found = read(table_config(runs))
-    assert (found.present.sum(axis=0).tolist(), len(found.speeds)) == ([11, 7], 12)
-    said = "not every run was measured at each of the 12 speeds: 'one' at 11, 'two' at 7; what is not there is left out"
-    assert_says(notes(table_config(runs)), said)
-    drawn = table_config(runs, speeds={"start_rpm": 600, "stop_rpm": 3600, "step_rpm": 100})
-    found = read(drawn)
-    assert found.speeds == pytest.approx(np.arange(600, 3001, 100) * RPM)
-    assert [span.tolist() for span in found.present.T] == [[True] * 25, [False] * 5 + [True] * 19 + [False]]
-    assert_says(
-        notes(drawn),
-        "each of the 31 speeds: 'one' at 25, 'two' at 19",
-        "runs were interpolated to more speeds than they were measured at ('one' from 11 to 25, 'two' from 7 to 19)",
-    )
-
-
-def test_a_probe_that_lacks_a_speed_of_its_run_is_refused(tmp_path: Path) -> None:
-    table = long({run["name"]: seen() for run in RUNS})
-    lacking = (table["probe"] == "B") & (table["run"] == "two") & (table["speed"] == 750.0)
-    with refused("every probe of a run must have the same speeds, but run 'two' has 750 rpm at probe 'A'"):
-        read(long_table(tmp_path, table[~lacking]))

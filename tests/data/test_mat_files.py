@@ -1,4 +1,4 @@
-"""MAT files of old and new versions, and long tables in Parquet as pandas writes them."""
+"""MAT files of old and new versions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from reading import GRID, RUNS, TURNS, check_read, check_steady, read, seen, ste
 from pipeline.data.mat_files import read_mat
 
 
-def tables() -> pd.DataFrame:
+def turned_tables() -> pd.DataFrame:
     """A row a run, probe and speed."""
     return long({name: seen(turn) for name, turn in TURNS.items()})
 
@@ -64,7 +64,7 @@ WRITERS = [write_old, write_new]
 @pytest.mark.parametrize("write", WRITERS)
 def test_long_tables(write: Any, tmp_path: Path) -> None:
     """Texts in cell arrays, numbers in columns."""
-    table = tables()
+    table = turned_tables()
     numbers = {name: table[name].to_numpy() for name in ("speed", "amplitude", "phase")}
     path = write(tmp_path / "all.mat", numbers | {name: list(table[name]) for name in ("run", "probe")})
     check_read(read(table_config(RUNS, "long", file=str(path))))
@@ -135,21 +135,3 @@ def test_what_a_mat_file_lacks_is_named(write: Any, tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:400])
     with refused("must be a complete MAT file", "copy it again"):
         read_mat(path, ["run.speed"])
-
-
-@pytest.mark.parametrize(
-    ("types", "index", "tolerance"),
-    [
-        ({}, [], 1e-12),
-        ({"run": "category", "probe": "category"}, [], 1e-12),
-        ({}, ["run", "probe"], 1e-12),
-        ({"amplitude": "float32", "phase": "float32"}, [], 1e-6),
-        ({"speed": "int32"}, [], 1e-12),
-    ],
-    ids=["plain", "categorical", "index", "single", "integers"],
-)
-def test_long_tables_in_parquet(types: dict[str, str], index: list[str], tolerance: float, tmp_path: Path) -> None:
-    """As pandas writes them: categories, columns in the index, float32, and speeds that are whole numbers."""
-    table = tables().astype(types)
-    (table.set_index(index) if index else table).to_parquet(tmp_path / "all.parquet")
-    check_read(read(table_config(RUNS, "long", file=str(tmp_path / "all.parquet"))), tolerance)
