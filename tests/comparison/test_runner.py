@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import numpy as np
 import pandas as pd
 import pytest
-from comparing import machine, task
+from comparing import machine
 from conftest import Artifacts
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
@@ -25,13 +22,10 @@ from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
 from pipeline.methods.catalogue import METHODS
 from pipeline.methods.method import REQUIREMENTS
-from pipeline.problem.expansion import _gain
-from pipeline.problem.noise import bearing_rows, residual_sensitivity
-from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison import Comparison, format_noise
 from pipeline.stages.compare import build_machine
 
-FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
+FEW_CASES = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
     "comparison.methods=[least_squares,kalman,multi_frequency]",
     "comparison.noise=[0,0.01]",
@@ -44,7 +38,7 @@ WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/compar
 
 def setup_of(**changed: Any) -> Machine:
     """A comparison at few speeds."""
-    few = machine(*FEW)
+    few = machine(*FEW_CASES)
     return replace(few, settings=few.settings.model_copy(update=changed))
 
 
@@ -59,7 +53,7 @@ def nothing(done: int, total: int, result: Result) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small comparison, as the command makes it."""
     folder = tmp_path_factory.mktemp("a comparison") / "x"
-    assert main(["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
+    assert main(["stage=compare", *FEW_CASES, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
     return folder
 
 
@@ -100,7 +94,7 @@ def test_an_interrupted_stage_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("pipeline.stages.compare.compare", Mock(side_effect=KeyboardInterrupt))
-    assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
+    assert main(["stage=compare", *FEW_CASES, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
     assert "no finished result is lost" in capsys.readouterr().err
 
 
@@ -157,7 +151,7 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
 def test_a_mistake_is_said_in_a_sentence(
     given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["stage=compare", *FEW, given, f"output={tmp_path}", "tracking=none"]) == 2
+    assert main(["stage=compare", *FEW_CASES, given, f"output={tmp_path}", "tracking=none"]) == 2
     said = capsys.readouterr().err
     assert words in said, said
     assert "Traceback" not in said
@@ -217,50 +211,6 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
     assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
     assert made.outcomes() == {"multi_frequency": {"one_frequency": ""}}
-
-
-@given(seed=st.integers(0, 1000), n_channels=st.integers(1, 9))
-def test_both_forms_of_the_gain_are_one(seed: int, n_channels: int) -> None:
-    """The matrix inversion lemma."""
-    generator = np.random.default_rng(seed)
-    parts = generator.standard_normal((2, 3, n_channels, 4))
-    through, prior = parts[0] + 1j * parts[1], generator.uniform(0.5, 2, (3, 4))
-    deviation = generator.uniform(0.5, 2, (3, n_channels))
-    spread = prior[..., None] * through.conj().swapaxes(1, 2)
-    dense = spread @ np.linalg.inv(through @ spread + deviation[..., None] ** 2 * np.eye(n_channels))
-    np.testing.assert_allclose(_gain(through, prior, deviation), dense, rtol=1e-9, atol=1e-12)
-    # A single mode that hides what was known before: the mean of the channels, in the direction of the mode.
-    np.testing.assert_allclose(
-        _gain(np.ones((n_channels, 4)), np.ones(4), np.full(n_channels, 1e-12)), 1 / 4 / n_channels
-    )
-
-
-def test_the_derivative_of_the_equations_by_the_readings() -> None:
-    """What total least squares takes for the noise of A and y, against differences."""
-    own = task(Case(0.01, "bearings", 12), *FEW)
-    derivative = bearing_rows(own.rotor, own.dataset, own.unknowns)  # (S, R, 2 B, U, P)
-    offset = residual_sensitivity(own.rotor, own.dataset, own.table(np.zeros((2, 12, 2))))
-    step = np.zeros_like(own.dataset.displacement)
-    step[:, 2, 1] = 1e-6 * (1 + 2j)
-    before, after = (
-        linear_residual(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
-        for dataset in (own.dataset, replace(own.dataset, displacement=own.dataset.displacement + step))
-    )
-
-    def complex_rows(values: np.ndarray) -> np.ndarray:
-        """(B, S, 2, R, ..) of (B, S, 4 R, ..)."""
-        half = values.reshape(2, 12, 2, 2, 3, *values.shape[3:])
-        return half[:, :, 0] + 1j * half[:, :, 1]
-
-    for b in range(2):
-        for direction in range(2):
-            rows = slice(2 * b + direction, 2 * b + direction + 1)
-            wanted = derivative[:, 1, rows, :, 2][:, 0] * step[:, 2, 1, None]
-            found = complex_rows(after.matrix - before.matrix)[b, :, direction, 1]
-            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-15)
-            own_offset = complex_rows(after.offset - before.offset)[b, :, direction, 1]
-            size = np.abs(offset[:, 1, 2 * b + direction, 2] * step[:, 2, 1])
-            np.testing.assert_allclose(np.abs(own_offset), size, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.slow

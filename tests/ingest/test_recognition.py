@@ -10,8 +10,6 @@ from conftest import refused
 
 from pipeline.ingest.recognition import recognize_recordings
 
-pytestmark = pytest.mark.slow  # every test composes a configuration by Hydra: half a second each
-
 
 @pytest.mark.slow
 def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:

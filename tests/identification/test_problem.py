@@ -1,31 +1,30 @@
-"""The output error with noise in levels and a prior of sizes: rows, their derivatives, and what the prior pulls."""
+"""Rows of the output error, their derivatives and normal equations; noise in levels, and a prior of sizes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 import torch
-from conftest import examples
-from hypothesis import given
-from hypothesis import strategies as st
+from conftest import Machine
+from problem.test_reference_response import BACKWARD, PROBES
 from running import composed
-from small_rig import SIZE, SmallRig, small_rig, with_noise
+from small_rig import SIZE, small_rig, with_noise
 from small_rotor import FITTED
 from training import assert_columns, assert_normal
 
-from pipeline.identification.answer import conclude
+from identification.test_output_error_fit import fit_of
+from pipeline.data.sensors import NoiseModel, Sensors, measure
+from pipeline.data.simulate import simulate
 from pipeline.identification.linear_start import start_at
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.output_error_start import align_weights, drawn_basis
+from pipeline.identification.output_error_start import drawn_basis
 from pipeline.identification.problem import OutputError, output_error
 from pipeline.identification.training import setup_of
 from pipeline.problem.condition_noise import NO_LEVELS
 from pipeline.problem.measurement import Guess, Measurement
 
-pytestmark = pytest.mark.slow
 UNCERTAIN = {"weight_angle": 0.2, "weight_law": 100.0, "bow": 2e-6}
 
 
@@ -48,11 +47,13 @@ def within() -> tuple[OutputError, torch.Tensor]:
     return problem_of(replace(measurement, guess=Guess(1e6, 1e3, 30.0)))
 
 
+@pytest.mark.slow
 def test_derivatives_and_normal_equations_are_those_of_the_rows(within: tuple[OutputError, torch.Tensor]) -> None:
     assert_columns(*within, at_once=False)
     assert_normal(*within)
 
 
+@pytest.mark.slow
 def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> None:
     """Summed speed by speed, and by the Jacobian."""
     measurement = with_noise(small_rig(np.random.default_rng(2), 4))
@@ -61,6 +62,7 @@ def test_without_levels_the_sizes_are_in_both_ways_to_the_normal_equations() -> 
     assert problem.rows(weights).shape[-1] - problem.places.size - problem.readings.size == len(problem.active)
 
 
+@pytest.mark.slow
 def test_the_rows_are_squares_under_the_covariance_of_the_levels() -> None:
     """Oracle: 2 e^H C^-1 e of each condition, with the covariance itself inverted."""
     rig = small_rig(np.random.default_rng(3), 5)
@@ -71,6 +73,7 @@ def test_the_rows_are_squares_under_the_covariance_of_the_levels() -> None:
     assert float(problem.rows(weights)[0, 0][: 2 * SIZE * 5].square().sum()) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_prior_of_sizes_holds_what_the_data_leave_open_and_nothing_else() -> None:
     """Damping so small that no reading tells it follows its guess, by the share that the linear theory says; stiffness
     stays where the data have it."""
@@ -93,45 +96,23 @@ def test_the_prior_of_sizes_holds_what_the_data_leave_open_and_nothing_else() ->
     assert (deviation[damp] > 0.5 * prior).all()
 
 
-@given(st.floats(0.0, 2 * np.pi))
-@examples(10)
-def test_weights_turn_back_by_any_angle(angle: float) -> None:
-    """Law: turned readings turn the start by as much, and leave it as far from the answer as it was."""
-    rig = turned_rig()
-    starts = [align_weights(turn(with_noise(rig), a)).parameter_values[0] * WIDE for a in (0.0, angle)]
-    assert abs(np.angle(np.exp(1j * (starts[1] - starts[0] - angle)))) < 1e-9
-    assert abs(starts[0]) < 1.0
+@pytest.fixture(scope="module")
+def full_problem(rotor_of: Machine) -> OutputErrorFit:
+    """A problem with cross-coupled coefficients, a shaker's own frequency and a balance plane."""
+    own = np.stack([*[rotor_of.speeds] * 3, np.full(len(rotor_of.speeds), 200.0)], axis=1)
+    clean = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD), own)
+    dataset = measure(clean, Sensors(PROBES, NoiseModel(0.0, 0.01)), np.random.default_rng(1))
+    return fit_of(
+        rotor_of, dataset, 0.01, "identify.unknowns=[kxx,kxy,kyx,kyy]", "identify.unbalance_planes=[2]", "model.width=5"
+    )
 
 
-@pytest.mark.parametrize("degrees", [75, 180, 290])
-def test_weights_turned_by_any_angle_end_at_the_same_answer(degrees: int) -> None:
-    """Nobody wrote down where the tacho stands: bearings and loss are the same, whatever the angle."""
-    rig, setup = turned_rig(), setup_of(composed(*FITTED))
-    fits = [fit_output_error(turn(with_noise(rig), np.radians(d)), setup) for d in (0, degrees)]
-    (here,), (there,) = (conclude(fit).parameters for fit in fits)
-    apart = WIDE * (there.value - here.value) - np.radians(degrees)
-    assert abs(np.angle(np.exp(1j * apart))) < 0.2 * WIDE * here.left
-    values = [fit.problem.unknowns(fit.weights)[0][0, 0].numpy() for fit in fits]
-    assert np.abs((values[1] - values[0]) / spread(fits[0])).max() < 0.1  # the angle's own prior pulls a little
+@pytest.mark.slow
+def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
+    """Closed-form derivatives against torch's."""
+    moved = torch.randn(full_problem.weights.shape, generator=torch.Generator().manual_seed(0))
+    assert_columns(full_problem.problem, full_problem.weights + 0.01 * moved)
 
 
-def spread(fit: OutputErrorFit) -> np.ndarray:
-    """(A,) deviations of the coefficients, which do not depend on the speed."""
-    return np.asarray(fit.problem.unknown_deviation(fit.weights)[0, 0])
-
-
-WIDE = 1.4
-"""rad: prior deviation of the common angle."""
-
-
-@cache
-def turned_rig() -> SmallRig:
-    """Eight conditions whose weights' angle is uncertain."""
-    return small_rig(np.random.default_rng(5), 8, drift=5e-8, deviations={"weight_angle": WIDE})
-
-
-def turn(measurement: Measurement, angle: float) -> Measurement:
-    """All readings turned, as another place of the tacho would."""
-    data = measurement.dataset
-    turned = replace(data, displacement=data.displacement * np.exp(1j * angle))
-    return replace(measurement, dataset=turned, solved=measurement.response)
+def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: OutputErrorFit) -> None:
+    assert_normal(full_problem.problem, full_problem.weights)

@@ -34,7 +34,6 @@ from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel
 from pipeline.rotor.ross_export import export_rotor
 from pipeline.rotor.stored import load_rotor, place_probe
-from pipeline.trust.judgement import describe_supports
 from pipeline.twin.modes import find_modes
 from pipeline.unknowns import tie, unknown_set
 
@@ -208,23 +207,6 @@ def test_the_diagnosis_says_where_only_bearing_and_support_in_series_are_told() 
     assert max(both.parameters.values()) < (0.4, 0.4) < tuple(0.5 * left for left in max(shaft.parameters.values()))
 
 
-CASINGS = tuple((node, angle) for node in (9, 10) for angle in DIRECTIONS.values())
-FLOORS = ((0.0, 0.0, 0.02), (0.0, 1e-4, 0.0), (3e-7, 0.0, 0.0), (0.0, 0.0, 0.02))
-"""Of the casings' x and y at both bearings: accelerometers, a velocity probe, and a probe that stands on the ground."""
-
-
-def test_the_noise_of_a_simulated_probe_is_constant_in_what_it_measures() -> None:
-    """(j w)^k V has the stated floor at every speed; the noise model has it over w^k."""
-    speeds = np.linspace(100.0, 700.0, 4000)
-    still = VibrationDataset(speeds, ("a",), CASINGS, np.zeros((4000, 4, 1), dtype=complex), WEIGHTS[:1])
-    noise = NoiseModel(0.0, 0.0, floors=FLOORS)
-    drawn = measure(still, Sensors(CASINGS, noise), np.random.default_rng(2)).displacement[..., 0]
-    orders, sizes = np.argmax(FLOORS, axis=1), np.max(FLOORS, axis=1)
-    for half in np.split(np.abs(drawn * speeds[:, None] ** orders) ** 2, 2):
-        assert half.mean(axis=0) == pytest.approx(sizes**2, rel=0.1)
-    assert noise.floor_at(speeds[:, None])[..., 0] == pytest.approx(sizes / speeds[:, None] ** orders)
-
-
 @pytest.mark.slow
 def test_a_floor_of_probes_is_found_beside_the_share_and_bands_hold() -> None:
     """Floors of accelerometers that are stated a tenth as large as they are come back with the share, and errors of the
@@ -285,16 +267,6 @@ def test_cross_coefficients_that_start_at_zero_have_shares() -> None:
     made = replace(measured((SHAFT, CASING), NoiseModel(5e-8, 0.01)), parameters=())
     found = combine(made, default_setup(made.guess, constant=True))
     assert 0 < found.strongest.deviation < found.weakest.deviation < np.inf
-
-
-def test_the_verdict_names_what_is_determined_of_supports() -> None:
-    """By the limits of coefficients, 5 and 30 %; what has no number of its own is no support's."""
-    fitted = {
-        f"support_mass node 1 {axis}": {"number": 20.0, "number_deviation": d}
-        for axis, d in zip("xy", (0.9, 7.0), strict=True)
-    }
-    told = "support mass node 1 x well determined (+- 4.5 %); support mass node 1 y not determined (+- 35 %)"
-    assert describe_supports({**fitted, "bow": {"deviation": 1e-6}}) == told
 
 
 def test_what_supports_cannot_do_is_refused() -> None:

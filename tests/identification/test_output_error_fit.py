@@ -1,4 +1,4 @@
-"""The response loss: against ROSS's response by way of the dense system, its dense twin, and simulated noise."""
+"""The fit by the output error: clean and noisy data, few sensors, bad points, structures, and noise estimated."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 from conftest import Machine, MachineFactory, bearings_of
-from training import assert_close, assert_columns, assert_normal
+from small_rotor import DIRECT, small_machine
+from training import assert_close
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
@@ -16,24 +17,11 @@ from pipeline.data.sensors import NoiseModel, Sensors, list_directions, measure,
 from pipeline.data.simulate import simulate
 from pipeline.errors import IdentifiabilityError
 from pipeline.identification.answer import conclude
-from pipeline.identification.fit import fit, loss_of
-from pipeline.identification.linear_start import start_at
+from pipeline.identification.fit import default_setup, fit, loss_of
+from pipeline.identification.identified import answer_of
 from pipeline.identification.output_error_fit import OutputErrorFit, fit_output_error
-from pipeline.identification.selection import revive
 from pipeline.identification.training import setup_of
 from pipeline.problem.determination import relative_deviation
-from pipeline.problem.expansion import expand
-from pipeline.problem.reference_response import SolvedRotor
-
-STIFFNESS = 2e7
-PROBES = ((0, 45.0), (1, 45.0), (1, 135.0), (3, 0.0), (5, 30.0), (5, 120.0))
-BACKWARD = Excitation("shaker", "force", 2, 10.0, 0.3, "backward")
-
-
-@pytest.fixture(scope="module")
-def rotor_of(machine: MachineFactory) -> Machine:
-    """The hydrostatic rotor at 60 speeds."""
-    return machine("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
 
 
 def noisy(machine: Machine, noise: float, seed: int, *more: Excitation) -> VibrationDataset:
@@ -54,64 +42,6 @@ def unstated(machine: Machine, node: int, size: float, angle: float, *more: str)
     """A residual unbalance in every run with weights, and in ``more`` runs."""
     runs = dict.fromkeys([*(e.run for e in machine.excitations), *more])
     return tuple(Excitation(run, "unbalance", node, size, angle) for run in runs)
-
-
-@pytest.mark.parametrize("stiffness", [1e5, 2e7, 1e9])
-def test_the_response_is_that_of_the_whole_system(rotor_of: Machine, stiffness: float) -> None:
-    """Any reference bearing gives the displacements that the full equation of motion has, at probes of any angle."""
-    dataset = project(rotor_of.dataset, PROBES)
-    predicted = SolvedRotor(rotor_of.rotor, dataset, stiffness).response.predict(rotor_of.bearings)
-    np.testing.assert_allclose(predicted, dataset.displacement, rtol=1e-8, atol=1e-10 * np.abs(predicted).max())
-
-
-def test_asynchronous_runs_and_a_residual_unbalance(rotor_of: Machine) -> None:
-    """Runs of several frequencies; the residual unbalance acts in those that turn with the rotor alone."""
-    speeds, given = rotor_of.speeds, (*rotor_of.excitations, BACKWARD)
-    hidden = unstated(rotor_of, 3, 3e-5, 0.7)
-    own = np.stack([*[speeds] * len(hidden), np.full(len(speeds), 200.0)], axis=1)
-    complete = simulate(rotor_of.rotor, rotor_of.bearings, (*given, *hidden), own)
-    equations = SolvedRotor(rotor_of.rotor, replace(complete, excitations=given), STIFFNESS, (3,)).response
-    assert len(equations.blocks) == 2
-    predicted = equations.predict(rotor_of.bearings, np.array([3e-5 * np.exp(0.7j)]))
-    np.testing.assert_allclose(predicted, complete.displacement, rtol=1e-7, atol=1e-10 * np.abs(predicted).max())
-
-
-@pytest.mark.parametrize("channels", [((1, 0.0), (1, 90.0), (5, 0.0), (5, 90.0)), PROBES])
-def test_the_expansion_finds_force_and_motion(rotor_of: Machine, channels: tuple[tuple[int, float], ...]) -> None:
-    """On clean data the residual at the bearings vanishes, whatever the sensors are."""
-    dataset = project(rotor_of.dataset, channels)
-    equations = SolvedRotor(rotor_of.rotor, dataset, STIFFNESS).response
-    made = expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9))
-    residual = made.equations.residual(rotor_of.bearings.impedance())
-    assert np.abs(residual).max() < 1e-6 * np.abs(made.equations.free_residual).max()
-
-
-def test_too_few_sensors_have_no_expansion(rotor_of: Machine) -> None:
-    dataset = project(rotor_of.dataset, PROBES[:3])
-    equations = SolvedRotor(rotor_of.rotor, dataset, STIFFNESS).response
-    assert expand(equations, dataset.displacement, np.full(dataset.displacement.shape, 1e-9)) is None
-
-
-@pytest.fixture(scope="module")
-def full_problem(rotor_of: Machine) -> OutputErrorFit:
-    """A problem with cross-coupled coefficients, a shaker's own frequency and a balance plane."""
-    own = np.stack([*[rotor_of.speeds] * 3, np.full(len(rotor_of.speeds), 200.0)], axis=1)
-    clean = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD), own)
-    dataset = measure(clean, Sensors(PROBES, NoiseModel(0.0, 0.01)), np.random.default_rng(1))
-    return fit_of(
-        rotor_of, dataset, 0.01, "identify.unknowns=[kxx,kxy,kyx,kyy]", "identify.unbalance_planes=[2]", "model.width=5"
-    )
-
-
-@pytest.mark.slow
-def test_the_jacobian_is_that_of_automatic_differentiation(full_problem: OutputErrorFit) -> None:
-    """Closed-form derivatives against torch's."""
-    moved = torch.randn(full_problem.weights.shape, generator=torch.Generator().manual_seed(0))
-    assert_columns(full_problem.problem, full_problem.weights + 0.01 * moved)
-
-
-def test_the_normal_equations_are_those_of_the_dense_jacobian(full_problem: OutputErrorFit) -> None:
-    assert_normal(full_problem.problem, full_problem.weights)
 
 
 def mean_square(fit: OutputErrorFit) -> float:
@@ -303,11 +233,19 @@ def test_fewer_features_are_the_same_with_zeros(rotor_of: Machine) -> None:
     assert_close(problem.with_features(long, 4), free)
 
 
-def test_an_unknown_that_vanished_is_put_back(rotor_of: Machine) -> None:
-    problem = fit_of(rotor_of, noisy(rotor_of, 0.01, 0), 0.01).problem
-    values = np.full((2, len(rotor_of.speeds), 2), 2e7)
-    assert len(revive(problem, start_at(problem, values))) == 0
-    values[1, :, 1] = 1e4
-    found = problem.unknowns(revive(problem, start_at(problem, values)))[0][0].median(dim=0).values.numpy()
-    np.testing.assert_allclose(found[:3], 2e7, rtol=1e-9)
-    assert found[3] > 2e6
+def test_records_at_speeds_of_their_own_give_bearings_and_residual_unbalance_back() -> None:
+    """Each run at every third speed: no two have a speed in common."""
+    made, bearings = small_machine(DIRECT, speeds=np.linspace(60.0, 260.0, 24), noise=0.0)
+    acting = (("a", 5e-4, 0.3), ("b", 5e-4, 2.0), ("c", 0.0, 0.0))
+    weights = [Excitation(run, "unbalance", 2, size, angle) for run, size, angle in acting]
+    residual = tuple(Excitation(weight.run, "unbalance", 2, 2e-4, -1.0) for weight in weights)
+    present = np.arange(24)[:, None] % 3 == np.arange(3)
+    data = replace(made.dataset, runs=("a", "b", "c"), excitations=(*weights, *residual), present=present)
+    read = project(simulate(made.rotor, bearings, data.excitations), data.channels).displacement * present[:, None]
+    data = replace(data, displacement=read, excitations=tuple(weights))
+    less = replace(made, dataset=data, unknowns=replace(made.unknowns, planes=(2,)), noise=NoiseModel(1e-13, 1e-8))
+    answer = fit(less, default_setup(less.guess, constant=True))
+    np.testing.assert_allclose(
+        answer.table(bearings).values[..., [0, 3, 4, 7]], bearings.values[..., [0, 3, 4, 7]], rtol=1e-7
+    )
+    assert answer_of(less, answer.model, answer.uncertainty).unbalance == pytest.approx([2e-4 * np.exp(-1j)], rel=1e-7)

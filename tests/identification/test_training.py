@@ -1,30 +1,28 @@
-"""How trainings end: together as alone, converged, diverged, interrupted; and models as files."""
+"""How trainings end: together as alone, converged, diverged, interrupted, at the precision of the data."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
-from conftest import Machine, unknown_at_all
-from training import CHAINS, a_model, asked, assert_close, minimised, optimizer, setup_of, starts, trained
+from conftest import Machine
+from training import CHAINS, asked, assert_close, minimised, optimizer, setup_of, starts, trained
 
 from pipeline.config.compose import compose_config
 from pipeline.config.identification import OptimizerConfig
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
-from pipeline.identification.identified import IdentifiedModel
-from pipeline.identification.model import CoefficientModel
 from pipeline.identification.residual_loss import (
     ResidualProblem,
     ResidualTraining,
     initial_parameters,
     prepare_residual,
 )
-from pipeline.identification.storage import ARCHITECTURE, WEIGHTS, load_model, save_model
 from pipeline.identification.training import FitSetup, Minimum, Outcome
 from pipeline.stages.analysis import use_threads
 
@@ -170,42 +168,6 @@ def test_loss_never_ends_above_its_start(chain: str, hydrostatic: Machine) -> No
     assert minimised(prepared, start, setup).loss[0] <= float(prepared.problem.loss(start).square().mean().sqrt())
 
 
-def drawn(model: CoefficientModel, generator: torch.Generator) -> IdentifiedModel:
-    """A model with random numbers."""
-    parameters = torch.randn(len(model.scale), model.n_parameters, generator=generator, dtype=torch.float64)
-    return IdentifiedModel(model, unknown_at_all((1, 5), model.unknowns), (1, 5), parameters)
-
-
-@pytest.mark.parametrize("depth", [None, 1, 3])
-def test_storage_round_trip(depth: int | None, tmp_path: Path, generator: torch.Generator) -> None:
-    """What is saved comes back with the same bits, architecture and scaling included."""
-    identified = drawn(a_model(depth, "silu", members=1), generator)
-    assert sorted(path.name for path in save_model(tmp_path, identified)) == sorted([ARCHITECTURE, WEIGHTS])
-    loaded = load_model(tmp_path)
-    assert (loaded.model, loaded.bearing_nodes) == (identified.model, (1, 5))
-    assert torch.equal(loaded.parameters, identified.parameters)
-    speeds = np.array([10.0, 200.0, 601.0])
-    np.testing.assert_array_equal(loaded.values(speeds), identified.values(speeds))
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
-
-
-DAMAGES = {
-    "no weights": lambda folder: (folder / WEIGHTS).unlink(),
-    "no architecture": lambda folder: (folder / ARCHITECTURE).unlink(),
-    "architecture is no JSON": lambda folder: (folder / ARCHITECTURE).write_text("{"),
-    "architecture is a list": lambda folder: (folder / ARCHITECTURE).write_text("[]"),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_model_is_refused(damage: str, tmp_path: Path, generator: torch.Generator) -> None:
-    """With a sentence, not with a traceback; what else a model can be spoilt by: tests/journeys/test_bad_models.py."""
-    save_model(tmp_path, drawn(a_model(2), generator))
-    DAMAGES[damage](tmp_path)
-    with pytest.raises(DataError, match="must"):
-        load_model(tmp_path)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("digits", [6, 7])
 def test_an_end_at_the_precision_of_the_data_is_converged(
@@ -228,3 +190,28 @@ def test_an_end_at_the_precision_of_the_data_is_converged(
     assert longer.outcome is Outcome.BUDGET_SPENT
     assert found.steps < longer.steps / 1.5
     assert found.loss < 1.2 * longer.loss
+
+
+def test_losses_below_rounding_are_no_improvement() -> None:
+    """A training at the precision of its data converges, however its losses go up and down there."""
+    from pipeline.config.identification import TrainingConfig
+    from pipeline.identification.training import _Monitor
+
+    def steps(losses: list[float]) -> int:
+        problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]), scatter=lambda: 0.0)
+        monitor = _Monitor(
+            problem=problem,
+            held_out=None,
+            config=TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1),
+            progress=None,
+            watch=None,
+        )
+        monitor.begin("levenberg_marquardt", 100, 3)
+        for loss in losses:
+            if monitor(torch.zeros(1, 1, 2), torch.full((1, 1), loss, dtype=torch.float64)).all():
+                break
+        return monitor.step
+
+    falling = [1.0, 1e-3, 1e-9, 1e-15]
+    assert steps([*falling, 8e-16, 6e-16, 4e-16, 2e-16, 1e-16]) == steps([*falling, *[1e-15] * 5]) == 7
+    assert steps([1.0, 1e-3, 1e-9, 8e-10, 6e-10, 4e-10, 2e-10]) == 7, "above rounding they are"

@@ -1,4 +1,4 @@
-"""Machines that are not built as modelled, through the stages: refusals, refits, and what only the generator knows."""
+"""Machines that are not built as modelled: what is refused, what is read of them, and what only the generator knows."""
 
 from __future__ import annotations
 
@@ -11,24 +11,17 @@ from conftest import refused
 
 from pipeline.config.compose import compose_config
 from pipeline.config.schema import Config
-from pipeline.data.dataset import VibrationDataset, assemble_forces, subtract_baseline
-from pipeline.data.sensors import list_directions, measure, project
-from pipeline.data.simulate import integrate
-from pipeline.errors import ConfigError, PipelineError
-from pipeline.evaluation.repeats import summarize_refits
-from pipeline.parameters.as_built import stand_on_pedestals
+from pipeline.data.dataset import assemble_forces, subtract_baseline
+from pipeline.data.sensors import list_directions, project
+from pipeline.errors import ConfigError
 from pipeline.problem.configured import (
     build_measurement,
-    configure_excitations,
     configure_sensors,
     model_machine,
     read_probes,
 )
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.rotor.model import RotorModel, bearing_dof
+from pipeline.rotor.model import bearing_dof
 from pipeline.rotor.stored import load_rotor
-from pipeline.stages import robustness
-from pipeline.stages.analysis import Analysis
 
 SMALL = [
     "experiment=realistic",
@@ -88,24 +81,6 @@ def test_a_baseline_leaves_no_runout_to_fit() -> None:
     dataset = subtract_baseline(read_probes(config, rotor, complete), "both")
     with pytest.raises(ConfigError, match=r"runout must belong to something .* no baseline was subtracted from"):
         build_measurement(config, rotor, dataset, truth)
-
-
-def test_slow_roll_takes_the_runout_off_but_for_the_noise_of_its_reading() -> None:
-    """What is left is the same at every speed and in every run, as large as the floor, the share and the steps."""
-    config = small()
-    rotor, _, complete = model_machine(config)
-    sensors = replace(configure_sensors(config, rotor), quantisation=0.0)
-    exact = measure(complete, replace(sensors, runout=0.0, slow_roll_readings=0), np.random.default_rng(1))
-    raw = measure(complete, replace(sensors, slow_roll_readings=0), np.random.default_rng(1))
-    assert np.abs(raw.displacement - exact.displacement) == pytest.approx(5e-6)
-    left = []
-    for seed in range(50):
-        exact = measure(complete, replace(sensors, runout=0.0, slow_roll_readings=0), np.random.default_rng(seed))
-        found = measure(complete, sensors, np.random.default_rng(seed)).displacement - exact.displacement
-        assert found == pytest.approx(np.broadcast_to(found[:1, :, :1], found.shape), abs=1e-18)
-        left.append(found[0, :, 0])
-    size = np.hypot(sensors.noise.additive, sensors.noise.multiplicative * sensors.runout)
-    assert np.sqrt(np.mean(np.abs(left) ** 2)) == pytest.approx(size, rel=0.2)
 
 
 @pytest.mark.slow
@@ -179,40 +154,6 @@ def test_integration_in_time_gives_what_the_dynamic_stiffness_gives() -> None:
     assert share.max() < 1e-3
 
 
-def test_the_error_of_integration_falls_with_the_square_of_the_step() -> None:
-    """Half the step, a quarter of the error."""
-    config = small("machine=overhung")
-    rotor, truth, exact = model_machine(config)
-    few, acting = truth.at(np.array([3, 5])), configure_excitations(config)
-    coarse, fine = (integrate(rotor, few, acting, steps).displacement for steps in (180, 360))
-    there = exact.displacement[[3, 5]]
-    assert np.abs(coarse - there).max() / np.abs(fine - there).max() == pytest.approx(4, rel=0.05)
-
-
-def test_an_unstable_machine_does_not_settle() -> None:
-    """Cross stiffness beyond all damping."""
-    config = small("machine=overhung")
-    rotor, truth, _ = model_machine(config)
-    values = truth.values * np.array([1, 30, 30, 1, 1, 1, 1, 1])
-    with pytest.raises(PipelineError, match="must settle to be read, but at 600 rpm"):
-        integrate(rotor, replace(truth, values=values), configure_excitations(config))
-
-
-def test_a_cone_of_one_diameter_is_a_cylinder() -> None:
-    """ROSS's tapered element beside its cylindrical one; elements of a cone meet at their ends."""
-    rotor = small("machine=overhung").machine.rotor
-    (segment,) = rotor.shaft
-    straight = rotor.model_copy(update={"shaft": (segment.model_copy(update={"end_diameter": 0.05}),)})
-    assert load_rotor(straight).stiffness == pytest.approx(load_rotor(rotor).stiffness, rel=1e-12)
-    cone = (segment.model_copy(update={"end_diameter": 0.04}),)
-    halves = tuple(
-        segment.model_copy(update={"length": 0.6, "elements": 4, "outer_diameter": a, "end_diameter": b})
-        for a, b in ((0.05, 0.045), (0.045, 0.04))
-    )
-    whole, cut = (load_rotor(rotor.model_copy(update={"shaft": shaft})).stiffness for shaft in (cone, halves))
-    assert cut == pytest.approx(whole, rel=1e-9)
-
-
 def test_bearing_and_pedestal_are_springs_in_series() -> None:
     """Against the response of a rotor whose pedestals have equations of their own."""
     pedestal = "+machine.as_built={pedestal_stiffness: 2e8, pedestal_mass: 20}"
@@ -230,55 +171,3 @@ def test_bearing_and_pedestal_are_springs_in_series() -> None:
         force[:n] = assemble_forces(rotor, complete.excitations, complete.runs, film.speeds[[s]])[0]
         expected = np.linalg.solve(joined, force)[np.arange(n).reshape(-1, 4)[:, :2].ravel()]
         assert complete.displacement[s] == pytest.approx(expected, rel=1e-9, abs=1e-15)
-
-
-@pytest.mark.slow
-def test_refits_are_the_same_in_one_process_and_in_two() -> None:
-    """Every data set is its seed's; so are its errors."""
-    config = compose_config(["stage=robustness", *SMALL, "robustness.count=2", "robustness.workers=2"])
-    alone = [robustness.measure_again(config, seed) for seed in (0, 1)]
-    for one, other in zip(robustness.refit_all(config), alone, strict=True):
-        assert one.names == other.names == ((1, "kxx"), (1, "kyy"), (6, "kxx"), (6, "kyy"))
-        assert one.error == pytest.approx(other.error, rel=1e-6)
-        assert one.probability is not None
-    assert not np.allclose(alone[0].error, alone[1].error, rtol=1e-3)
-    summary = summarize_refits(alone)
-    assert summary["data_sets"] == 2
-    assert summary["within_95_percent_interval"] == pytest.approx(np.mean([of.within for of in alone]))
-
-
-@pytest.mark.slow
-def test_refits_need_a_modelled_machine() -> None:
-    """Recordings can't be made again."""
-    config = compose_config(["stage=robustness", "experiment=measured_demo", "robustness=refits"])
-    with pytest.raises(ConfigError, match="robustness over refits must have loss=response and a modelled machine"):
-        robustness.run(Analysis(config))
-
-
-@pytest.mark.slow
-def test_on_pedestals_the_series_of_film_and_pedestal_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test tells of a pedestal: the readings are explained, by bearings that are softer than the film."""
-    pedestal = "+machine.as_built={pedestal_stiffness: 2e8 N/m, pedestal_mass: 20 kg}"
-    stated = ["experiment=realistic", "machine=overhung", "~identify.model_parameters"]
-    config = compose_config(["stage=robustness", *stated, pedestal])
-    film = robustness.measure_again(config, 0)
-
-    def felt(one: Config, seed: int) -> tuple[RotorModel, BearingTable, VibrationDataset]:
-        rotor, truth, complete = model_machine(one, seed)
-        return rotor, stand_on_pedestals(truth, one.machine.as_built), complete
-
-    monkeypatch.setattr(robustness, "model_machine", felt)
-    series = robustness.measure_again(config, 0)
-    assert np.median(film.error) > 10
-    assert np.median(series.error) < 1.5
-    assert series.within.mean() > 75
-    assert film.probability > 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [23, 67])
-def test_far_from_the_stated_model_the_fit_reaches_its_minimum(seed: int) -> None:
-    """Data sets whose fit ended in another valley when the readings counted in full from the start."""
-    found = robustness.measure_again(compose_config(["stage=robustness", "experiment=realistic"]), seed)
-    assert found.misfit < 1.1
-    assert found.probability > 0.01
