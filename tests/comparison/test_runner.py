@@ -20,10 +20,7 @@ from pipeline.comparison.cases import Case, Machine, Result
 from pipeline.comparison.runner import compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
-from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import REQUIREMENTS
 from pipeline.reporting.comparison import Comparison, format_noise
-from pipeline.stages.compare import build_machine
 
 FEW_CASES = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
@@ -89,15 +86,6 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     assert [item for _, item in (call.args for call in judge.call_args_list)] == RUNS[2:]
 
 
-@pytest.mark.slow
-def test_an_interrupted_stage_says_how_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("pipeline.stages.compare.compare", Mock(side_effect=KeyboardInterrupt))
-    assert main(["stage=compare", *FEW_CASES, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
-    assert "no finished result is lost" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])
 def test_a_damaged_or_old_result_is_made_again(damage: str, tmp_path: Path) -> None:
     own = setup_of(workers=1)
@@ -133,51 +121,6 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(runner, "judge_method", killed)
     with pytest.raises(PipelineError, match=r"run the same command again, with comparison\.workers=1"):
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("comparison.methods=[krigging]", "kriging"),
-        ("comparison.methods=[kalman,kalman]", "once"),
-        ("comparison.noise=[2]", "less than 1"),
-        ("comparison.location=99", "nodes 0 to 6"),
-        ("comparison.prior.lowest_stiffness=1e10 N/m", "lowest_stiffness < highest_stiffness"),
-        ("comparison.response.loss.kind=residual", "must have loss=response"),
-        ("experiment=measured_demo", "modelled machine"),
-    ],
-)
-def test_a_mistake_is_said_in_a_sentence(
-    given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["stage=compare", *FEW_CASES, given, f"output={tmp_path}", "tracking=none"]) == 2
-    said = capsys.readouterr().err
-    assert words in said, said
-    assert "Traceback" not in said
-
-
-OTHERS = ["compressor_journal_and_isotropic", pytest.param("compressor_two_journals", marks=pytest.mark.nightly)]
-FIVE_SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
-FEW_STEPS = [
-    "comparison.paper.optimizer.adam.steps=20",
-    *(
-        f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20"
-        for loss in ("residual", "preconditioned", "response", "trained")
-    ),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("experiment", OTHERS)
-def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
-    own = build_machine(compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"]))
-    items = [(method, Case(0.01, where, 5)) for where in ("bearings", "location") for method in METHODS]
-    results = compare(own, items, tmp_path, nothing)
-    assert {result.outcome for result in results} <= {"answered", *REQUIREMENTS}
-    for result in results:
-        assert result.answered == bool(result.coefficients)
-        assert result.answered or result.words
 
 
 def row(method: str, noise: float, error: float | None, data_set: int = 0, **changed: Any) -> Result:
@@ -246,9 +189,3 @@ def test_a_win_is_one_beyond_the_spread_of_the_paired_differences() -> None:
     }
     assert {method: made.cell(method, case) for method in cells} == cells
     assert made.label("tikhonov", [case]).endswith("(1 data set)")
-
-
-def test_clean_data_have_one_best_answer_or_rounding() -> None:
-    case = Case(0.0, "bearings", 10)
-    rows = (row("response", 0.0, 1e-4), row("spline", 0.0, 1e-12), row("kalman", 0.0, 1e-9), row("residual", 0.0, 2e-4))
-    assert Comparison(rows, case, ("kxx",)).level_with_best(case) == {"spline", "kalman"}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import Machine, MachineFactory, bearings_of
+from conftest import Machine, MachineFactory
 from small_rotor import STEEL
 
 from benchmarks.machines import refined
@@ -21,7 +21,6 @@ from pipeline.errors import PipelineError
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.twin.modes import find_critical_speeds, find_modes
 
 
 def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -99,34 +98,6 @@ def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     made = refined(experiment, factor, "machine.speeds.step_rpm=590")
     assert made.rotor.n_nodes == 25
     assert_equals_ross(made)
-
-
-JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
-SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
-
-
-def jeffcott(density: float) -> RotorModel:
-    """A disc (a point mass but for 1e-9 kg m^2) in the middle of a shaft of hardly any mass; no shear."""
-    return assemble(
-        RotorConfig.model_validate(
-            {
-                "shaft": [{"length": 1.0, "outer_diameter": 0.02, "elements": 4}],
-                "material": STEEL | {"density": density},
-                "discs": [{"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}],
-                "bearing_nodes": [0, 4],
-                "shear_effects": False,
-            }
-        )
-    )
-
-
-def test_jeffcott_critical_speed() -> None:
-    """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's mass (0.003 %) may lower it by 1e-5."""
-    expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
-    speeds = expected * np.linspace(0.8, 1.2, 8)
-    found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
-    # Forward and backward, the same without gyroscopic effect.
-    assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
 
 
 def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length() -> None:

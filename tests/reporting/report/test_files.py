@@ -1,4 +1,4 @@
-"""The report: what its page loads, what its figures and numbers say, on values made here."""
+"""The report as a page and as a PDF: what it loads, places, escapes, and how it is used by keyboard."""
 
 from __future__ import annotations
 
@@ -21,14 +21,8 @@ from pipeline.reporting.blocks import (
     Panel,
     Section,
     Table,
-    mark_beyond,
-    reach,
-    typeset,
 )
-from pipeline.reporting.measured_figures import find_lag
 from pipeline.reporting.report.files import write_page, write_pdf
-from pipeline.reporting.report.twin import find_peak
-from pipeline.write_numbers import format_engineering, write_number
 
 RPM = np.linspace(500, 3000, 40)
 SIZE = 1e-6 * RPM / 500
@@ -143,75 +137,3 @@ def test_a_pdf_has_the_same_sections(paper: str, size: bytes, tmp_path: Path) ->
     assert content.startswith(b"%PDF")
     assert [part for part in (b"/MediaBox [0 0 " + size, b"/Outlines") if part not in content] == []
     assert content.count(b"/Subtype /Image") == 2  # two rows of panels
-
-
-def test_few_outliers_do_not_rule_an_axis() -> None:
-    """It ends where the others are, with a cross for what lies beyond; without outliers it holds every point."""
-    usual = np.linspace(0.1, 0.5, 99)
-    assert reach(usual) == (0.1, 0.5)
-    values = np.r_[usual, -15.0]
-    low, high = reach(np.r_[values, np.nan])
-    assert -0.5 < low < 0.1
-    assert high == 0.5
-    (cross,) = mark_beyond([Curve(np.arange(100.0), values), Curve(RPM, SIZE)], low, high)
-    assert (cross.x.tolist(), cross.y.tolist(), cross.marker) == ([99.0], [low], "x")
-
-
-def test_a_lag_is_the_opposite_of_the_angle() -> None:
-    lag = np.linspace(30, 500, 50)
-    assert find_lag(2.0 * np.exp(-1j * np.radians(lag))) == pytest.approx(lag)
-    assert find_lag(np.exp(1j * np.radians([90.0]))) == pytest.approx([270.0])
-
-
-def test_a_peak_is_that_of_the_closed_form() -> None:
-    """The response of one mass to unbalance peaks at n0 / sqrt(1 - 2 z^2), with the height 1 / (2 z sqrt(1 - z^2))."""
-    damping, rpm = 0.1, np.arange(1000.0, 3000.0, 10.0)
-    ratio = rpm / 2000.0
-    size = ratio**2 / np.hypot(1 - ratio**2, 2 * damping * ratio)
-    assert find_peak(rpm, size) == (
-        pytest.approx(2000.0 / np.sqrt(1 - 2 * damping**2), rel=2e-4),
-        pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=1e-4),
-    )
-    assert find_peak(rpm, rpm) is None
-    two = size + 2 * np.exp(-(((rpm - 2600) / 50) ** 2)) * size.max()
-    assert [round(peak[0], -2) for beside in (None, 2100.0) if (peak := find_peak(rpm, two, beside))] == [2600, 2000]
-
-
-@pytest.mark.parametrize(
-    ("value", "deviation", "text"),
-    [
-        (12.3456, 0.0512, "12.346 +- 0.051"),
-        (12.3456, None, "12.35"),
-        (None, None, "–"),
-        (float("nan"), 1.0, "–"),
-        (6000.0, None, "6000"),
-        (123456.0, None, "123500"),
-        (1894.0, 10900.0, "2000 +- 11000"),
-        (110.0, 1e-12, "110.000 +- 0.000"),
-        (2.34e-6, None, "2.34e-6"),
-        (1.2e7, float("nan"), "1.2e7"),
-        (0.02, 0.0, "0.02 +- 0"),
-    ],
-)
-def test_a_number_has_the_digits_of_an_engineer(value: float | None, deviation: float | None, text: str) -> None:
-    """Two digits of its deviation, four without; no powers of ten where a person writes none."""
-    assert write_number(value, deviation) == text
-    assert typeset(text) == text.replace("+-", "±")
-
-
-@pytest.mark.parametrize(
-    ("value", "deviation", "text"),
-    [
-        (23994100.0, 7100.0, "(23.9941 +- 0.0071)e6"),
-        (-553.2, 9.7, "-553.2 +- 9.7"),
-        (12.5e3, 20e3, "(12 +- 20)e3"),
-        (20.468e6, None, "20.468e6"),
-        (-1.25e-7, None, "-125e-9"),
-        (5.0, 1e-12, "5.00000 +- 0.00000"),
-        (0.0, None, "0"),
-        (float("inf"), 1.0, "inf +- 1"),
-    ],
-)
-def test_engineering_notation(value: float, deviation: float | None, text: str) -> None:
-    """Powers of 1000, and as many digits as are known."""
-    assert format_engineering(value, deviation) == text

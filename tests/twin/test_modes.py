@@ -1,9 +1,8 @@
-"""The twin: modes, critical speeds and stability against other solutions and closed forms; time curves."""
+"""Modes, critical speeds and stability: against other solutions, closed forms and API 617."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,8 +17,15 @@ from pipeline.config.rotor import RotorConfig
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.twin.modes import WhirlModes, find_critical_speeds, find_modes, measure_stability
-from pipeline.twin.prediction import predict, sample_motion
+from pipeline.twin.modes import (
+    WhirlModes,
+    amplify,
+    find_critical_speeds,
+    find_modes,
+    follow_modes,
+    measure_stability,
+    require_separation,
+)
 from pipeline.units import RAD_S_PER_RPM
 
 
@@ -218,39 +224,73 @@ def test_margin_says_where(hydrostatic: Machine) -> None:
     assert margin.largest_growth == modes.growth.max()
 
 
-@given(
-    amplitudes=st.lists(st.floats(1e-9, 1e-3), min_size=2, max_size=2),
-    phases=st.lists(st.floats(-math.pi, math.pi), min_size=2, max_size=2),
-    speed=st.floats(1.0, 1000.0),
+def test_amplification_factor_is_that_of_the_half_power_points() -> None:
+    """Oracle: the width of the resonance of one degree of freedom at 1/sqrt(2) of its peak, for zeta = 0.02."""
+    zeta = 0.02
+    ratio = np.linspace(0.9, 1.1, 200001)
+    size = ratio**2 / np.hypot(1 - ratio**2, 2 * zeta * ratio)  # of an unbalance
+    above = ratio[size >= size.max() / math.sqrt(2)]
+    half_power = ratio[size.argmax()] / (above[-1] - above[0])
+    decrement = 2 * math.pi * zeta / math.sqrt(1 - zeta**2)
+    found = amplify(decrement, 1e-3)
+    assert found[0] == pytest.approx(1 / (2 * zeta), rel=1e-12)
+    assert found[0] == pytest.approx(half_power, rel=5e-3)
+    ends = [amplify(decrement + d) for d in (1e-6, -1e-6)]
+    assert found[1] == pytest.approx(abs(ends[0][0] - ends[1][0]) / 2e-6 * 1e-3, rel=1e-6)
+    assert amplify(-0.1) is None
+
+
+@pytest.mark.parametrize(
+    ("factor", "above", "asked"),
+    [(2.4, True, 0.0), (3.5, False, 8.5), (3.5, True, 18.5), (40.0, False, 16.0), (40.0, True, 26.0)],
 )
-def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
-    """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
-    time, curve = sample_motion(np.array(amplitudes) * np.exp(1j * np.array(phases)), speed)
-    assert (time[0], time[-1]) == (0, pytest.approx(2 * 2 * math.pi / speed))
-    wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))
-    np.testing.assert_allclose(curve, wanted, atol=1e-12)
-    np.testing.assert_allclose(curve[-1], curve[0], atol=1e-12)
-    assert np.abs(curve).max(axis=0) == pytest.approx(amplitudes, rel=1e-3)
+def test_separation_margins_of_api_617(factor: float, above: bool, asked: float) -> None:
+    assert require_separation(factor, above) == pytest.approx(asked)
 
 
-def test_prediction_is_the_response_of_that_node(hydrostatic: Machine) -> None:
-    """Paper, section 4.2.1: x and y of a node for one unbalance run, here one whose response is known."""
-    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
-    found = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
-    np.testing.assert_allclose(found.displacement, hydrostatic.response[:, 16:18, 2], rtol=1e-12)
-    np.testing.assert_array_equal(found.speeds, hydrostatic.speeds)
-    twin = replace(found, displacement=found.displacement * (1 + 0.01j))
-    np.testing.assert_allclose(twin.error_percent(found), 1.0, rtol=1e-10)
+def test_modes_are_followed_where_their_frequencies_meet() -> None:
+    """Two lines that cross, of different damping: each keeps its own, though the order in frequency changes."""
+    speeds = np.linspace(10.0, 100.0, 19) + 0.25
+    lines = np.stack([np.full(19, 50.0), speeds], axis=1)
+    decrements = np.stack([np.full(19, 0.1), np.full(19, 3.0)], axis=1)
+    order = lines.argsort(axis=1)
+    mixed = WhirlModes(
+        speeds,
+        np.take_along_axis(lines, order, axis=1),
+        np.take_along_axis(decrements, order, axis=1),
+        np.full(19, -1.0),
+        np.zeros(19),
+    )
+    followed = np.take_along_axis(mixed.logarithmic_decrement, follow_modes(mixed), axis=1)
+    assert (np.ptp(followed, axis=0) == 0).all()
+    assert np.ptp(mixed.logarithmic_decrement, axis=0).all()
 
 
-def test_prediction_changes_with_the_coefficients(hydrostatic: Machine) -> None:
-    """Sensitivity: 1e-6 more stiffness changes the vibration in proportion; the error is of first order."""
-    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
-    true = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
-    errors = []
-    for size in (1e-6, 2e-6):
-        values = hydrostatic.bearings.values.copy()
-        values[..., :4] *= 1 + size
-        changed = predict(hydrostatic.rotor, replace(hydrostatic.bearings, values=values), own, 4)
-        errors.append(changed.error_percent(true))
-    np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-3)
+JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
+
+
+SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
+
+
+def jeffcott(density: float) -> RotorModel:
+    """A disc (a point mass but for 1e-9 kg m^2) in the middle of a shaft of hardly any mass; no shear."""
+    return assemble(
+        RotorConfig.model_validate(
+            {
+                "shaft": [{"length": 1.0, "outer_diameter": 0.02, "elements": 4}],
+                "material": STEEL | {"density": density},
+                "discs": [{"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}],
+                "bearing_nodes": [0, 4],
+                "shear_effects": False,
+            }
+        )
+    )
+
+
+def test_jeffcott_critical_speed() -> None:
+    """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's mass (0.003 %) may lower it by 1e-5."""
+    expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
+    speeds = expected * np.linspace(0.8, 1.2, 8)
+    found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
+    # Forward and backward, the same without gyroscopic effect.
+    assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
