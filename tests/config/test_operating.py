@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
+from running import composed
+from stages.test_measurement import BASE
 
 from pipeline.config.operating import UNITS, WRITTEN, Differences, States, column_of, find_column, to_quantity
+from pipeline.errors import ConfigError
 
 NAMES = [f"oil_{word}" for word in WRITTEN] + [f"drain_{unit}" for unit in UNITS]
 
@@ -67,3 +71,16 @@ def test_what_is_no_condition_is_refused_by_name(value: Any, words: str) -> None
     with pytest.raises(ValidationError) as error:
         TypeAdapter(States).validate_python(value)
     assert words in str(error.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("key", "given", "words"),
+    [
+        ("machine.operating", "[45]", "oil_temperature must carry its unit"),
+        ("data.same_conditions", "5 N", "(such as 0.5 K)"),
+    ],
+)
+def test_what_is_no_condition_is_named_with_its_key(key: str, given: str, words: str) -> None:
+    with refused(f"{key}: ", words, kind=ConfigError):
+        composed(*BASE, f"{key}={{oil_temperature: {given}}}")

@@ -11,8 +11,8 @@ from conftest import Machine, bearings_of, examples
 from hypothesis import given
 from hypothesis import strategies as st
 from parameters.test_as_built import small
-from rotor.test_dynamic_stiffness import JEFFCOTT, SHAFT_STIFFNESS, jeffcott
 from small_rotor import STEEL
+from twin.test_modes import JEFFCOTT, SHAFT_STIFFNESS, jeffcott
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.rotor import RotorConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.reporting.blocks import Curve, mark_beyond, reach
-from reporting.test_report import RPM, SIZE
+from reporting.report.test_files import RPM, SIZE
 
 
 def test_few_outliers_do_not_rule_an_axis() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,8 @@ from pipeline.data.coefficient_files import read_coefficients
 from pipeline.errors import PipelineError
 from pipeline.identification.output_error_fit import fit_output_error
 from pipeline.identification.training import setup_of
-from pipeline.reporting.run_up_tables import compare_identified
 from pipeline.stages import run_stage
-from pipeline.stages.analysis import Analysis
-from pipeline.stages.measurement import load_dataset, load_measurement, restore
+from pipeline.stages.measurement import load_dataset, load_measurement
 
 pytestmark = pytest.mark.slow
 
@@ -61,22 +58,3 @@ def test_the_guess_only_starts_the_fit(artifacts: Artifacts, tmp_path: Path, gue
     assert float(solved.loss(fit.weights)) == pytest.approx(0.4305217, rel=1e-6)
     stiffness = solved.unknowns(fit.weights)[0][0, 0, [0, 1, 4, 5]].numpy()
     assert stiffness == pytest.approx([7.05e5, 3.26e6, 2.23e5, 3.68e5], rel=0.03)
-
-
-def test_a_run_up_after_a_fit_is_held_against_it(
-    artifacts: Artifacts, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The fit did not see the run-up: its first critical speed agrees, in a band that could have refuted it."""
-    folder = artifacts.copied("rk4", NEEDED, tmp_path)
-    (analysis := Analysis(config_of(folder))).run("runup")
-    first = json.loads((folder / "run_up.json").read_text(encoding="utf-8"))["identified"]["first"]
-    assert first["sentence"] in capsys.readouterr().out
-    assert first["within"]
-    assert first["share_of_interval"] < 1
-    assert first["band_percent"] < 4
-    every = first["critical_speeds"]
-    assert every[0]["rpm"] == first["identified_rpm"]
-    assert [one["rpm"] for one in every] == sorted(one["rpm"] for one in every)
-    assert all(0 < one["deviation_rpm"] < 0.02 * one["rpm"] for one in every)
-    # Where none is, there is nothing to compare.
-    assert compare_identified(restore(analysis), {"natural_frequency": {"rpm": 300.0, "deviation_rpm": 1.0}}) == {}
