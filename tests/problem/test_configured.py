@@ -16,11 +16,15 @@ from running import composed
 from stages.test_measurement import BASE, STATES
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
 from pipeline.config.measured import KnownConfig
 from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import list_directions
 from pipeline.errors import ConfigError
-from pipeline.problem.configured import find_idle, load_known, model_machine
+from pipeline.problem.configured import build_measurement, find_idle, load_known, model_machine
 from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.measurement import load_measurement
 
 SPEEDS = np.array([100.0, 200.0])
@@ -109,3 +113,18 @@ def test_a_condition_that_changes_no_bearing_is_named() -> None:
     same = BearingTable((0,), np.full(4, 100.0), np.ones((1, 4, 8)), operating)
     assert find_idle(same) == ["load", "oil_temperature"]
     assert find_idle(replace(same, values=same.values * operating["oil_temperature"][:, None])) == ["load"]
+
+
+def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:
+    """Half the squares of 3 and 4 um each, at 45 degrees."""
+    names = list(compose_config(["experiment=measured_demo"]).machine.recordings.probes)
+    floors = [f"++machine.recordings.probes.{name}.floor='{3 + i % 2} um'" for i, name in enumerate(names)]
+    config = compose_config(["experiment=measured_demo", *floors])
+    rotor, speeds = load_rotor(config.machine.rotor), np.array([100.0])
+    channels = list_directions(rotor.bearing_nodes)
+    data = VibrationDataset(
+        speeds, ("a",), channels, np.zeros((1, 4, 1)), (Excitation("a", "unbalance", 1, 1e-4, 0.0),)
+    )
+    known = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    noise = build_measurement(config, rotor, data, known).noise
+    assert np.array(noise.floors) == pytest.approx(np.tile([2.5e-6 * np.sqrt(2), 0.0, 0.0], (4, 1)))
