@@ -1,4 +1,4 @@
-"""The comparison as a user runs it: in processes, interrupted, resumed, misspelt; and the equations that it adds."""
+"""The comparison: its files, in processes, resumed, damaged; means and wins of its summary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operating conditions of a configuration: names, quantities, units."""
+"""Operating conditions of a configuration: names, quantities, units, and what is none."""
 
 from __future__ import annotations
 

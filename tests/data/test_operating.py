@@ -1,4 +1,4 @@
-"""Which operating points make one line over the speed, and what it is called."""
+"""Which operating points are joined, which make one line over the speed, and what it is called."""
 
 from __future__ import annotations
 

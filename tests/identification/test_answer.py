@@ -1,4 +1,4 @@
-"""The fit of a machine that is not built as it is modelled: what is fitted with the coefficients, and what is said."""
+"""The answer of a fit: what was fitted with the coefficients of a machine not built as modelled, and what is said."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit leaves over: whether it is white, of noise whose size changes with the speed; what was held out."""
+"""What a fit leaves over: the mismatch, the size by repeats, and what was held out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In which sense phases and angles count: which are one machine mirrored, and whether the data choose the right one."""
+"""The sense of phases and angles: which are one machine mirrored, and whether the data choose the right one."""
 
 from __future__ import annotations
 

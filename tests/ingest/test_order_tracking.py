@@ -1,4 +1,4 @@
-"""Tacho pulses, the shaft's angle, and 1X vectors of time signals, against vectors known in closed form."""
+"""1X vectors of time signals, against vectors known in closed form, and what can not be tracked."""
 
 from __future__ import annotations
 

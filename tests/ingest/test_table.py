@@ -1,4 +1,4 @@
-"""Measured make_tables: conventions, layouts, probes and damage."""
+"""Measured tables: conventions, layouts, probes, damage, and speeds that runs have not in common."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of a comparison: means over data sets, wins beyond the spread, and errors of rounding."""
+"""Tables of a comparison: clean data have one best answer, or rounding, which is not printed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of measured data: lags, and Bode plots with a line a run and state."""
+"""Figures of measured data: a lag is the opposite of the angle."""
 
 from __future__ import annotations
 

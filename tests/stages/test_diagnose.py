@@ -1,4 +1,4 @@
-"""``stage=diagnose`` and ``stage=design`` of a machine with bearing laws, and a fit that lacks a second temperature."""
+"""stage=diagnose: machines with bearing laws, a second temperature that lacks, and what is not identifiable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""stage=ingest of the measured rig's records: its files, its summary and its words; critical speeds after a fit."""
+"""stage=ingest of the measured rig's records: its files, its words, and what the guess is for."""
 
 from __future__ import annotations
 

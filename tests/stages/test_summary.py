@@ -1,4 +1,4 @@
-"""The stage `summary`: the results on one screen and in one picture, of modelled and of measured machines."""
+"""stage=summary: the results on one screen and in one picture, of modelled and of measured machines."""
 
 from __future__ import annotations
 

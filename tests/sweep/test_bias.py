@@ -1,4 +1,4 @@
-"""The response to a sweep of speed, against a time integration, the steady response and its own laws."""
+"""The response to a sweep: against a time integration, the steady response, its own laws, the printed rates."""
 
 from __future__ import annotations
 

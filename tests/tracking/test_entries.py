@@ -1,4 +1,4 @@
-"""Names, numbers, provenance and silence: what is made of a record before MLflow gets it."""
+"""Names, numbers and provenance: what is made of a record before MLflow gets it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Committed studies open in a database of any machine; a study changes what training uses by promotion alone."""
+"""Committed studies have their trials, and open in a database of any machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Search spaces, samplers, what is promoted, and what a study says: everything but processes and storages."""
+"""Search spaces and samplers, and what a study says: everything but processes and storages."""
 
 from __future__ import annotations
 
