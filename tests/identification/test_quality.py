@@ -42,7 +42,6 @@ def test_a_prediction_beyond_all_bounds_is_null_in_json(far: complex) -> None:
 
 def test_the_mismatch_test_is_that_of_the_distributions() -> None:
     """Medians of chi-square and of the normal distribution; estimated noise leaves the order alone to judge."""
-
     found = mismatch(float(chi2.median(200)), 200, 0.0)
     assert found == pytest.approx({"chi_square": 0.5, "whiteness": 0.5, "probability": 1.0})
     assert mismatch(None, 200, 1.6449) == {
