@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Artifacts
-from stages.test_ingest_records import NEEDED, config_of
+from stages.test_ingest import NEEDED, config_of
 
 from pipeline.reporting.run_up_tables import compare_identified
 from pipeline.stages.analysis import Analysis
