@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import MachineFactory, refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from problem.test_identifiability import FEW
 from reading import read_rows
 from small_rotor import small_machine
 
@@ -246,3 +247,24 @@ def test_the_baseline_must_be_measured_where_the_others_are(tmp_path: Path) -> N
         "the baseline 'b' must be measured at the speeds and conditions of the other runs", "run 'a', 100 rpm"
     ):
         read_rows(tmp_path, [header, *of_a, *of_b[2:]], baseline="b")
+
+
+def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Path) -> None:
+    """A column of the vibration file; blank and absent mean synchronous."""
+    from pipeline.data.excitation_files import write_excitation
+    from pipeline.data.vibration_files import read_dataset, write_vibration
+
+    runs = (
+        "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "
+        "{name: b, forces: [{node: 4, magnitude: 10}], frequency_hz: 40}]"
+    )
+    made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
+    vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
+    write_vibration(vibration, made.dataset, {"rotor": made.rotor.fingerprint})
+    write_excitation(excitation, made.dataset)
+    read = read_dataset(vibration, excitation, made.rotor)
+    np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)
+    text = vibration.read_text().splitlines()
+    blank = [",".join([*line.split(",")[:-1], ""]) if line.startswith("a,") else line for line in text]
+    vibration.write_text("\n".join(blank) + "\n")
+    np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)

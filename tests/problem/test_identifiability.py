@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -273,24 +272,3 @@ def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
     residual: BearingEquations = made.equations
     impedance = made.bearings.impedance(made.dataset.frequencies)
     assert np.abs(residual.residual(impedance)).max() < 1e-8 * np.abs(residual.free_residual).max()
-
-
-def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Path) -> None:
-    """A column of the vibration file; blank and absent mean synchronous."""
-    from pipeline.data.excitation_files import write_excitation
-    from pipeline.data.vibration_files import read_dataset, write_vibration
-
-    runs = (
-        "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "
-        "{name: b, forces: [{node: 4, magnitude: 10}], frequency_hz: 40}]"
-    )
-    made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
-    vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
-    write_vibration(vibration, made.dataset, {"rotor": made.rotor.fingerprint})
-    write_excitation(excitation, made.dataset)
-    read = read_dataset(vibration, excitation, made.rotor)
-    np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)
-    text = vibration.read_text().splitlines()
-    blank = [",".join([*line.split(",")[:-1], ""]) if line.startswith("a,") else line for line in text]
-    vibration.write_text("\n".join(blank) + "\n")
-    np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
