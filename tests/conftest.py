@@ -143,6 +143,12 @@ def hydrostatic(machine: MachineFactory) -> Machine:
 
 
 @pytest.fixture(scope="session")
+def rotor_of(machine: MachineFactory) -> Machine:
+    """The hydrostatic rotor at 60 speeds, where a file has no other."""
+    return machine("experiment=noisy_stiffness", "machine.speeds.step_rpm=100")
+
+
+@pytest.fixture(scope="session")
 def ball(machine: MachineFactory) -> Machine:
     """The disc on two ball bearings, 25 speeds from 100 to 6000 rpm, one run."""
     return machine("experiment=ball_bearing", "machine.speeds.step_rpm=245")

@@ -1,4 +1,4 @@
-"""The balance sheet on a rig whose influence is known: what it removes and foretells, and how often bands hold."""
+"""The balance sheet: what it removes and foretells, how often bands hold, and what ISO 21940-11 lets remain."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from conftest import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.machines import Machine
 from pipeline.balance.correction import Holes
-from pipeline.balance.linear_vibration import bound_size, circle_radius, judge_distance
-from pipeline.balance.sheet import State, predict_one, propose_weights
+from pipeline.balance.sheet import State, find_centre, predict_one, propose_weights, share_tolerance
 from pipeline.errors import ConfigError
 
 
@@ -123,22 +123,6 @@ def test_the_bands_hold_what_they_say() -> None:
         assert 0.92 < np.mean(held) < 0.98
 
 
-@pytest.mark.slow
-def test_bounds_and_chances_of_drawn_numbers() -> None:
-    rng = np.random.default_rng(6)
-    noise = circular(rng, 40_000)
-    assert np.mean(np.abs(noise) <= circle_radius(np.ones(1), np.inf)) == pytest.approx(0.95, abs=0.005)
-    for true in (0.0, 0.7, 3.0, 300.0):
-        bound = bound_size(np.array([true]), circle_radius(np.ones(1), np.inf))
-        assert np.mean(np.abs(true + noise) <= bound) == pytest.approx(0.95, abs=0.005)
-    drawn = circular(rng, 4000, 3)
-    for values, freedom in ((drawn, np.inf), (drawn / np.sqrt(rng.chisquare(10, (4000, 1)) / 10), 5.0)):
-        chances = [judge_distance(float((np.abs(v) ** 2).sum()), 3, freedom) for v in values]
-        assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.02)
-    assert np.isnan(judge_distance(1.0, 0, np.inf))
-    assert np.isinf(circle_radius(np.ones(2), 0.0)).all()
-
-
 def test_planes_that_act_alike_are_refused() -> None:
     rig, _ = _unbalanced(np.random.default_rng(7))
     alike = know(replace(rig.truth, influence=rig.truth.influence[:, [0, 0]]))
@@ -148,3 +132,37 @@ def test_planes_that_act_alike_are_refused() -> None:
     single.shown[1:] = np.nan
     with pytest.raises(ConfigError, match="tell the planes apart"):
         propose_weights(rig, single, _holes())
+
+
+def test_what_remains_is_shared_by_the_lever(hydrostatic: Machine) -> None:
+    rotor = hydrostatic.rotor
+    first, second = rotor.bearing_nodes
+    shared = share_tolerance(rotor, (first, second), 1.0)
+    np.testing.assert_allclose(shared.remaining(np.array([2.0, 3j])), [2.0, 3j], atol=1e-12)
+    middle = share_tolerance(rotor, (first + 1,), 1.0)
+    begin, end = rotor.positions[[first, second]]
+    share = (rotor.positions[first + 1] - begin) / (end - begin)
+    np.testing.assert_allclose(middle.remaining(np.array([1.0])), [1 - share, share])
+    np.testing.assert_allclose(middle.circle(np.array([[4.0]]), np.array([3.0])), [3 * (1 - share), 3 * share])
+    assert shared.permissible.sum() == pytest.approx(1.0)
+
+
+def test_the_centre_of_mass_is_that_of_its_parts(hydrostatic: Machine) -> None:
+    """Cylinders of the shaft with their centres, and discs at their nodes, from the configuration alone."""
+    given, rotor = hydrostatic.config.machine.rotor, hydrostatic.rotor
+    parts, begin = [], 0.0
+    for piece in given.shaft:
+        area = np.pi / 4 * (piece.outer_diameter**2 - piece.inner_diameter**2)
+        parts.append((given.material.density * area * piece.length, begin + piece.length / 2))
+        begin += piece.length
+    for disc in given.discs:
+        area = np.pi / 4 * (disc.outer_diameter**2 - disc.inner_diameter**2)
+        parts.append((given.material.density * area * disc.width, rotor.positions[disc.node]))
+    masses, places = np.array(parts).T
+    assert find_centre(rotor) == pytest.approx(masses @ places / masses.sum(), rel=1e-6)
+    assert find_centre(rotor) != pytest.approx(rotor.positions[-1] / 2, rel=1e-3)
+
+
+def test_a_rotor_on_one_bearing_is_refused(hydrostatic: Machine) -> None:
+    with pytest.raises(ConfigError, match="two bearings"):
+        share_tolerance(replace(hydrostatic.rotor, bearing_nodes=(1,)), (2,), 1.0)

@@ -1,4 +1,4 @@
-"""The comparison as a user runs it: in processes, interrupted, resumed, misspelt; and the equations that it adds."""
+"""The comparison: its files, in processes, resumed, damaged; means and wins of its summary."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import numpy as np
 import pandas as pd
 import pytest
-from comparing import machine, task
+from comparing import machine
 from conftest import Artifacts
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.__main__ import main
 from pipeline.comparison import runner
@@ -23,15 +20,9 @@ from pipeline.comparison.cases import Case, Machine, Result
 from pipeline.comparison.runner import compare, hash_inputs, name_file
 from pipeline.config.compose import compose_config
 from pipeline.errors import PipelineError
-from pipeline.methods.catalogue import METHODS
-from pipeline.methods.method import REQUIREMENTS
-from pipeline.problem.expansion import _gain
-from pipeline.problem.noise import bearing_rows, residual_sensitivity
-from pipeline.problem.residual import bearing_equations, linear_residual
 from pipeline.reporting.comparison import Comparison, format_noise
-from pipeline.stages.compare import build_machine
 
-FEW = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
+FEW_CASES = ("experiment=hydrostatic_stiffness", "machine.speeds.step_rpm=500")
 FAST = [
     "comparison.methods=[least_squares,kalman,multi_frequency]",
     "comparison.noise=[0,0.01]",
@@ -44,7 +35,7 @@ WRITTEN = {"comparison.csv", "comparison.json", "comparison.md", "figures/compar
 
 def setup_of(**changed: Any) -> Machine:
     """A comparison at few speeds."""
-    few = machine(*FEW)
+    few = machine(*FEW_CASES)
     return replace(few, settings=few.settings.model_copy(update=changed))
 
 
@@ -59,7 +50,7 @@ def nothing(done: int, total: int, result: Result) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small comparison, as the command makes it."""
     folder = tmp_path_factory.mktemp("a comparison") / "x"
-    assert main(["stage=compare", *FEW, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
+    assert main(["stage=compare", *FEW_CASES, *FAST, f"output={folder}", "tracking=none", "comparison.workers=1"]) == 0
     return folder
 
 
@@ -93,15 +84,6 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     assert [r.case for r in results] == [case for _, case in RUNS]
     assert compare(own, RUNS, tmp_path, nothing) == results
     assert [item for _, item in (call.args for call in judge.call_args_list)] == RUNS[2:]
-
-
-@pytest.mark.slow
-def test_an_interrupted_stage_says_how_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("pipeline.stages.compare.compare", Mock(side_effect=KeyboardInterrupt))
-    assert main(["stage=compare", *FEW, *FAST, f"output={tmp_path}", "tracking=none"]) == 130
-    assert "no finished result is lost" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("damage", ["{", '{"fingerprint": "0"}', "[]", '{"fingerprint": "0", "result": {}}'])
@@ -141,51 +123,6 @@ def test_a_killed_process_is_said_in_words(tmp_path: Path, monkeypatch: pytest.M
         compare(setup_of(workers=2), RUNS, tmp_path, nothing)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("comparison.methods=[krigging]", "kriging"),
-        ("comparison.methods=[kalman,kalman]", "once"),
-        ("comparison.noise=[2]", "less than 1"),
-        ("comparison.location=99", "nodes 0 to 6"),
-        ("comparison.prior.lowest_stiffness=1e10 N/m", "lowest_stiffness < highest_stiffness"),
-        ("comparison.response.loss.kind=residual", "must have loss=response"),
-        ("experiment=measured_demo", "modelled machine"),
-    ],
-)
-def test_a_mistake_is_said_in_a_sentence(
-    given: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["stage=compare", *FEW, given, f"output={tmp_path}", "tracking=none"]) == 2
-    said = capsys.readouterr().err
-    assert words in said, said
-    assert "Traceback" not in said
-
-
-OTHERS = ["compressor_journal_and_isotropic", pytest.param("compressor_two_journals", marks=pytest.mark.nightly)]
-FIVE_SPEEDS = [f"machine.speeds.{key}" for key in ("start_rpm=800", "stop_rpm=4000", "step_rpm=800")]
-FEW_STEPS = [
-    "comparison.paper.optimizer.adam.steps=20",
-    *(
-        f"comparison.{loss}.optimizer.levenberg_marquardt.steps=20"
-        for loss in ("residual", "preconditioned", "response", "trained")
-    ),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("experiment", OTHERS)
-def test_every_method_says_something_of_other_machines(experiment: str, tmp_path: Path) -> None:
-    own = build_machine(compose_config([f"experiment={experiment}", *FIVE_SPEEDS, *FEW_STEPS, "comparison.workers=1"]))
-    items = [(method, Case(0.01, where, 5)) for where in ("bearings", "location") for method in METHODS]
-    results = compare(own, items, tmp_path, nothing)
-    assert {result.outcome for result in results} <= {"answered", *REQUIREMENTS}
-    for result in results:
-        assert result.answered == bool(result.coefficients)
-        assert result.answered or result.words
-
-
 def row(method: str, noise: float, error: float | None, data_set: int = 0, **changed: Any) -> Result:
     """A result with one coefficient, or without an answer."""
     kxx = {"median_error": error, "p95_error": error, "median_deviation": None, "within_interval": None}
@@ -217,50 +154,6 @@ def test_the_summary_takes_means_over_data_sets_and_names_refusals() -> None:
     assert made.best_other("response", main_one, "kxx") == ("kriging", 4.0)
     assert [format_noise(case.noise) for case in made.along("noise")] == ["0 %", "1 %"]
     assert made.outcomes() == {"multi_frequency": {"one_frequency": ""}}
-
-
-@given(seed=st.integers(0, 1000), n_channels=st.integers(1, 9))
-def test_both_forms_of_the_gain_are_one(seed: int, n_channels: int) -> None:
-    """The matrix inversion lemma."""
-    generator = np.random.default_rng(seed)
-    parts = generator.standard_normal((2, 3, n_channels, 4))
-    through, prior = parts[0] + 1j * parts[1], generator.uniform(0.5, 2, (3, 4))
-    deviation = generator.uniform(0.5, 2, (3, n_channels))
-    spread = prior[..., None] * through.conj().swapaxes(1, 2)
-    dense = spread @ np.linalg.inv(through @ spread + deviation[..., None] ** 2 * np.eye(n_channels))
-    np.testing.assert_allclose(_gain(through, prior, deviation), dense, rtol=1e-9, atol=1e-12)
-    # A single mode that hides what was known before: the mean of the channels, in the direction of the mode.
-    np.testing.assert_allclose(
-        _gain(np.ones((n_channels, 4)), np.ones(4), np.full(n_channels, 1e-12)), 1 / 4 / n_channels
-    )
-
-
-def test_the_derivative_of_the_equations_by_the_readings() -> None:
-    """What total least squares takes for the noise of A and y, against differences."""
-    own = task(Case(0.01, "bearings", 12), *FEW)
-    derivative = bearing_rows(own.rotor, own.dataset, own.unknowns)  # (S, R, 2 B, U, P)
-    offset = residual_sensitivity(own.rotor, own.dataset, own.table(np.zeros((2, 12, 2))))
-    step = np.zeros_like(own.dataset.displacement)
-    step[:, 2, 1] = 1e-6 * (1 + 2j)
-    before, after = (
-        linear_residual(bearing_equations(own.rotor, dataset), own.unknowns, own.known)
-        for dataset in (own.dataset, replace(own.dataset, displacement=own.dataset.displacement + step))
-    )
-
-    def complex_rows(values: np.ndarray) -> np.ndarray:
-        """(B, S, 2, R, ..) of (B, S, 4 R, ..)."""
-        half = values.reshape(2, 12, 2, 2, 3, *values.shape[3:])
-        return half[:, :, 0] + 1j * half[:, :, 1]
-
-    for b in range(2):
-        for direction in range(2):
-            rows = slice(2 * b + direction, 2 * b + direction + 1)
-            wanted = derivative[:, 1, rows, :, 2][:, 0] * step[:, 2, 1, None]
-            found = complex_rows(after.matrix - before.matrix)[b, :, direction, 1]
-            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-15)
-            own_offset = complex_rows(after.offset - before.offset)[b, :, direction, 1]
-            size = np.abs(offset[:, 1, 2 * b + direction, 2] * step[:, 2, 1])
-            np.testing.assert_allclose(np.abs(own_offset), size, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -296,9 +189,3 @@ def test_a_win_is_one_beyond_the_spread_of_the_paired_differences() -> None:
     }
     assert {method: made.cell(method, case) for method in cells} == cells
     assert made.label("tikhonov", [case]).endswith("(1 data set)")
-
-
-def test_clean_data_have_one_best_answer_or_rounding() -> None:
-    case = Case(0.0, "bearings", 10)
-    rows = (row("response", 0.0, 1e-4), row("spline", 0.0, 1e-12), row("kalman", 0.0, 1e-9), row("residual", 0.0, 2e-4))
-    assert Comparison(rows, case, ("kxx",)).level_with_best(case) == {"spline", "kalman"}

@@ -88,22 +88,3 @@ def test_both_readers_give_the_same(asked: tuple[bytes, dict[str, str], CsvConfi
     for name in fast:
         np.testing.assert_array_equal(fast[name], slow[name])
         assert fast[name].dtype == slow[name].dtype
-
-
-def test_numbers_come_from_arrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
-    """What is a table of numbers is not read cell by cell, and keeps every bit."""
-    values = rng.standard_normal((1000, 3)) * 10.0 ** rng.integers(-300, 300, (1000, 3))
-    path = tmp_path / "table.csv"
-    path.write_text("a,b,c\n" + "\n".join(",".join(map(repr, row)) for row in values.tolist()))
-    monkeypatch.setattr(tables, "_to_number", None)
-    monkeypatch.setattr(tables, "_explain_csv", None)
-    read = read_table(path, dict.fromkeys("abc", "number"))
-    np.testing.assert_array_equal(np.stack([read[name] for name in "abc"], axis=1), values)
-
-
-def test_names_that_a_spreadsheet_would_compute_are_text(tmp_path: Path) -> None:
-    """An apostrophe leads them in the file, and not where it is read."""
-    names = ['=HYPERLINK("http://x")', "+1+cmd|x", "@SUM(A1)", "-2+3", "\tx", "plain", "'quoted", "a=b", "-5"]
-    path = tables.write_table(tmp_path / "names.csv", {"run": names, "value": [0.5] * len(names)})
-    assert [line.strip('"')[0] for line in path.read_text().splitlines()[1:6]] == ["'"] * 5
-    assert read_table(path, {"run": "text"})["run"].tolist() == names

@@ -1,11 +1,13 @@
-"""Which operating points make one line over the speed, and what it is called."""
+"""Which operating points are joined, which make one line over the speed, and what it is called."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from pipeline.data.operating import split_states, write_condition
+from pipeline.data.operating import join, split_states, write_condition
 
 
 @pytest.mark.parametrize(
@@ -58,3 +60,20 @@ def test_no_line_has_a_speed_twice_and_every_point_is_on_one(seed: int) -> None:
 )
 def test_conditions_are_written_in_the_units_of_an_engineer(name: str, value: float | np.ndarray, written: str) -> None:
     assert write_condition(name, value) == written
+
+
+@given(
+    values=st.lists(st.floats(300, 310).map(lambda v: round(v, 3)), min_size=1, max_size=30),
+    within=st.sampled_from([0.0, 0.1, 0.5, 3.0, 20.0]),
+)
+def test_joined_values_move_by_no_more_than_the_tolerance_and_keep_their_order(
+    values: list[float], within: float
+) -> None:
+    given_values = np.array(values)
+    found = join(given_values, within)
+    assert np.abs(found - given_values).max() <= within + 1e-9
+    for mean in np.unique(found):
+        group = given_values[found == mean]
+        assert np.ptp(group) <= within + 1e-9
+        assert mean == pytest.approx(np.unique(group).mean(), abs=1e-9)
+    assert (np.diff(found[np.argsort(given_values)]) >= 0).all()

@@ -15,10 +15,9 @@ from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
 from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.tables import write_table
-from pipeline.errors import ConfigError, DataError, StorageError
+from pipeline.errors import ConfigError, DataError
 from pipeline.export.coefficients import Document, Exported, document, tabulate
 from pipeline.export.folder import write_for, write_workbook
-from pipeline.files import write_folder
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM
 
@@ -194,22 +193,3 @@ def test_ross_reads_the_workbook(exported: Exported, tmp_path: Path) -> None:
 def test_an_unknown_format_or_unit_is_named(override: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         compose_config([override])
-
-
-def test_a_folder_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
-    folder = tmp_path / "export"
-    write_folder(folder, lambda beside: (beside / "old").write_text("1"))
-    write_folder(folder, lambda beside: (beside / "new").write_text("2"))
-    assert [path.name for path in folder.iterdir()] == ["new"]
-
-    def fill(beside: Path) -> None:
-        (beside / "newer").write_text("3")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(StorageError, match=r"No space left on device.*output=FOLDER"):
-        write_folder(folder, fill)
-    assert [path.name for path in (*tmp_path.iterdir(), *folder.iterdir())] == ["export", "new"]
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(StorageError, match="there is a file of that name"):
-        write_folder(tmp_path / "file", fill)
-    assert (tmp_path / "file").read_text() == "mine"

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from oil_rig import LUND, SHORT, bearings_at, laws_of, measure, setup
 
-from pipeline.config.identification import TrainingConfig
 from pipeline.errors import ConfigError
 from pipeline.identification.choice import Judged, choose, judge_models, setup_model
-from pipeline.identification.held_out import held_out_conditions
-
-OPERATING = {"oil_temperature": np.array([318.15, 318.15, 338.15])}
 
 
 def judged(name: str, probability: float, held_out: float) -> Judged:
@@ -24,29 +20,6 @@ def test_a_tie_goes_to_the_simpler_model_and_a_rejected_one_is_none() -> None:
     assert choose((judged("law", 1e-9, 1.0), hybrid, network)).name == "hybrid"
     assert choose((judged("law", 0.3, 2.0), hybrid, network)).name == "hybrid"
     assert choose((judged("law", 1e-9, 4.0), judged("network", 1e-3, 3.0))).name == "network"
-
-
-def training(**held_out: float) -> TrainingConfig:
-    return TrainingConfig(holdout_every=0, tolerance=1e-6, holdout_operating=held_out)
-
-
-def test_conditions_are_held_out_by_their_values() -> None:
-    assert held_out_conditions(OPERATING, training(oil_temperature=338.15), 3).tolist() == [False, False, True]
-    assert not held_out_conditions(OPERATING, training(), 3).any()
-
-
-@pytest.mark.parametrize(
-    ("held_out", "words"),
-    [
-        ({"load": 500.0}, "must name conditions of the data"),
-        ({"oil_temperature": 300.0}, "45 degC, 65 degC"),
-        ({"oil_temperature": 318.0}, "leave points"),
-    ],
-)
-def test_held_out_conditions_must_be_measured_and_leave_others(held_out: dict[str, float], words: str) -> None:
-    operating = {name: values[:2] for name, values in OPERATING.items()} if "leave" in words else OPERATING
-    with pytest.raises(ConfigError, match=words):
-        held_out_conditions(operating, training(**held_out), len(operating["oil_temperature"]))
 
 
 @pytest.mark.slow

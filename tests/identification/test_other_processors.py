@@ -1,4 +1,4 @@
-"""Another processor rounds otherwise: outcomes, choices, steps and printed figures stay the same."""
+"""Another processor rounds otherwise: trainings end the same, and the choice of a study stays the same."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
-import torch
 from conftest import pictures_left_out
 from running import ROOT
 
@@ -131,86 +128,6 @@ def test_a_training_ends_the_same(processors: tuple[Processor, Processor], name:
         assert others[key] == pytest.approx(error, rel=1e-3, abs=1e-11), key
 
 
-def test_losses_below_rounding_are_no_improvement() -> None:
-    """A training at the precision of its data converges, however its losses go up and down there."""
-    from pipeline.config.identification import TrainingConfig
-    from pipeline.identification.training import _Monitor
-
-    def steps(losses: list[float]) -> int:
-        problem: Any = SimpleNamespace(rounding=lambda: torch.tensor([1e-13]), scatter=lambda: 0.0)
-        monitor = _Monitor(
-            problem=problem,
-            held_out=None,
-            config=TrainingConfig(holdout_every=0, holdout_runs=[], tolerance=0.1),
-            progress=None,
-            watch=None,
-        )
-        monitor.begin("levenberg_marquardt", 100, 3)
-        for loss in losses:
-            if monitor(torch.zeros(1, 1, 2), torch.full((1, 1), loss, dtype=torch.float64)).all():
-                break
-        return monitor.step
-
-    falling = [1.0, 1e-3, 1e-9, 1e-15]
-    assert steps([*falling, 8e-16, 6e-16, 4e-16, 2e-16, 1e-16]) == steps([*falling, *[1e-15] * 5]) == 7
-    assert steps([1.0, 1e-3, 1e-9, 8e-10, 6e-10, 4e-10, 2e-10]) == 7, "above rounding they are"
-
-
-def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
-    """1e-13 of the loss without any bearing force, whatever the unit of the rows."""
-    from pipeline.identification.residual_loss import ResidualProblem
-
-    rng = np.random.default_rng(0)
-    offset = torch.as_tensor(rng.normal(size=(2, 5, 3)))
-    rest = torch.as_tensor(rng.uniform(size=2))
-    matrix = torch.zeros(2, 5, 3, 3, dtype=torch.float64)
-    found = [
-        ResidualProblem(None, None, size * matrix, size * offset, size**2 * rest, None).rounding()
-        for size in (1.0, 1e3)
-    ]
-    np.testing.assert_allclose(found[0], 1e-13 * np.sqrt((offset.numpy() ** 2).sum((1, 2)) + rest.numpy()))
-    np.testing.assert_allclose(found[1], 1e3 * found[0])
-
-
-@dataclass(frozen=True)
-class _Features:
-    """As much of an output error as the choice of its features reads: one unknown, three of them."""
-
-    kept: Any
-
-    @property
-    def basis(self) -> Any:
-        return SimpleNamespace(n_trend=1)
-
-    def fitted(self) -> Any:
-        return self.kept.flatten()
-
-
-@pytest.mark.parametrize(
-    ("last", "kept"),
-    [(2.0, 2), (2.0 + 1e-6, 2), (2.0 - 1e-6, 2), (2.5, 3), (1.5, 2)],
-)
-def test_a_tie_goes_to_fewer_features(last: float, kept: int) -> None:
-    """``last`` is what the third feature lowers chi-square by: 2 is Akaike's price of a number."""
-    from pipeline.identification.selection import drop_features
-
-    free = torch.tensor([[[9.0, 9.0, last**0.5]]], dtype=torch.float64)
-    problem: Any = _Features(torch.ones(1, 3, dtype=torch.bool))
-    chosen, start = drop_features(problem, free, np.eye(3))
-    assert int(chosen.kept.sum()) == kept
-    assert bool((start[0, 0, kept:] == 0).all())
-
-
-def test_of_equal_minima_the_first_goes_on() -> None:
-    """Starts that ended in one valley differ by rounding; those of other valleys follow, the best first."""
-    from pipeline.problem.ranking import find_distinct
-
-    for tie in (1e-9, -1e-9):
-        assert find_distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
-    assert find_distinct([1.00001, 1.0]) == [1], "the better of two that differ"
-    assert find_distinct([float("inf"), 1.0]) == [1, 0]
-
-
 @pytest.mark.parametrize("name", ["ball_bearing", "hydrostatic_stiffness", "hydrostatic_damping"])
 def test_committed_studies_promote_with_room_to_spare(name: str) -> None:
     """Kernels and the sampler's path move the losses of finalists: the choice must not hang on that."""
@@ -223,10 +140,3 @@ def test_committed_studies_promote_with_room_to_spare(name: str) -> None:
     least = compose_config([f"experiment={name}", "tuned=false"]).tuning.least_gain
     assert losses.median()[0] > 10 * least * losses.median()[promoted]
     assert losses.min()[0] > 10 * losses.max()[promoted]
-
-
-@pytest.mark.parametrize(("error", "text"), [(4.2e-12, "< 1e-8"), (0.0, "< 1e-8"), (1.234e-7, "1.2e-7"), (26.1, "26")])
-def test_digits_of_rounding_are_not_printed(error: float, text: str) -> None:
-    from pipeline.reporting.comparison import format_error
-
-    assert format_error(error) == text

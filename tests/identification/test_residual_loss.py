@@ -1,4 +1,4 @@
-"""Training: derivatives against autograd, recovery of a known truth, named outcomes, models as files.
+"""The residual's loss: derivatives against autograd, starts, recovery of a known truth, and its rounding.
 
 The machines are small: ball bearings, 25 speeds, one run; fluid-film bearings, 60 speeds, three runs.
 """
@@ -11,34 +11,15 @@ import numpy as np
 import pytest
 import torch
 from conftest import Machine, unknown_at_all
-from hypothesis import given
-from hypothesis import strategies as st
-from training import CHAINS, a_model, asked, assert_close, errors, optimizer, setup_of, starts, trained
+from training import CHAINS, asked, assert_close, errors, optimizer, setup_of, starts, trained
 
 from pipeline.config.compose import compose_config
 from pipeline.config.loader import list_options
 from pipeline.identification.held_out import held_out_speeds
-from pipeline.identification.model import coefficient_model
 from pipeline.identification.residual_loss import initial_parameters, prepare_residual
 from pipeline.identification.training import initial_guess
-from pipeline.unknowns import outputs_of, scale_outputs
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-SHAPES = [(None, "tanh")] + [(depth, act) for depth in (1, 2, 3) for act in ("tanh", "silu", "sine")]
-
-
-@pytest.mark.parametrize(("depth", "activation"), SHAPES)
-def test_network_jacobian_equals_autograd(depth: int | None, activation: str, generator: torch.Generator) -> None:
-    """The hand-written back-propagation against torch's reverse mode, for every depth and activation."""
-    model = a_model(depth, activation)
-    inputs = model.scaled_inputs({"speed": np.array([10.0, 90.0, 333.0, 600.0])})
-    parameters = torch.randn(2, 2, model.n_parameters, generator=generator, dtype=torch.float64)
-    found = model.raw_jacobian(parameters, inputs)
-    assert found.shape == (2, 2, 1 if depth is None else 4, 3, model.n_parameters) or depth is None
-    for g, m in np.ndindex(2, 2):
-        wanted = torch.autograd.functional.jacobian(lambda p: model.raw(p, inputs), parameters[g, m])
-        assert_close(found[g, m].expand_as(wanted), wanted, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
@@ -69,25 +50,6 @@ def test_problem_jacobian_equals_autograd(
         rtol=1e-9,
         atol=1e-11,
     )
-
-
-@given(raw=st.floats(-5, 20), size=st.floats(1e2, 1e9), base=st.floats(-1e9, 1e9))
-def test_outputs_make_the_same_of_arrays_and_of_tensors(raw: float, size: float, base: float) -> None:
-    """``size exp(x)`` of what must be positive, ``base + size x`` elsewhere; without a base, the way back."""
-    outputs, sizes = np.array([[raw, raw]]), np.array([size, 2 * size])
-    for positive in (np.array([True, False]), np.array([True, True])):
-        values, slope = scale_outputs(outputs, sizes, positive, base)
-        wanted = np.where(positive, sizes * np.exp(raw), base + sizes * raw)
-        np.testing.assert_allclose(values, wanted[None], rtol=1e-15)
-        np.testing.assert_array_equal(slope, np.where(positive, values, sizes))
-        tensors = scale_outputs(*map(torch.as_tensor, (outputs, sizes, positive)), base)
-        np.testing.assert_allclose(tensors[0], values, rtol=1e-14)
-        np.testing.assert_allclose(tensors[1], slope, rtol=1e-14)
-        plain, _ = scale_outputs(outputs, sizes, positive)
-        back = outputs_of(plain, sizes, positive)
-        np.testing.assert_allclose(back, outputs, rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(outputs_of(*map(torch.as_tensor, (plain, sizes, positive))), back, rtol=1e-13)
-    assert outputs_of(np.array([-1.0]), 1.0, np.array([True]), 1e-3) == np.log(1e-3)
 
 
 @pytest.mark.parametrize("parametrisation", ["log", "scaled"])
@@ -123,20 +85,6 @@ def test_configured_guess_and_seed(hydrostatic: Machine) -> None:
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
     assert not torch.equal(first[:, 0], first[:, 1])  # each bearing has a network of its own
-
-
-@pytest.mark.parametrize("scaling", ["rpm", "log_rpm"])
-def test_inputs_are_scaled_to_one(scaling: str, hydrostatic: Machine) -> None:
-    """The trained range of speeds becomes -1 to 1, evenly in rpm or its logarithm; a single speed -1."""
-    config = hydrostatic.config.model.model_copy(update={"input_scaling": scaling})
-    model = coefficient_model(config, ("kxx",), {"speed": hydrostatic.speeds}, np.ones((1, 1)))
-    speeds = hydrostatic.speeds[[0, -1]]
-    middle = np.sqrt(speeds.prod()) if scaling == "log_rpm" else speeds.mean()
-    found = model.scaled_inputs({"speed": np.array([speeds[0], middle, speeds[1]])})
-    assert found.dtype == torch.float64
-    np.testing.assert_allclose(found.numpy(), [[-1.0], [0.0], [1.0]], atol=1e-12)
-    alone = coefficient_model(config, ("kxx",), {"speed": speeds[:1]}, np.ones((1, 1)))
-    np.testing.assert_allclose(alone.scaled_inputs({"speed": speeds[:1]}).numpy(), [[-1.0]])
 
 
 @pytest.mark.slow
@@ -239,18 +187,6 @@ def test_second_order_answer_is_the_least_squares_one(hydrostatic: Machine, rng:
     assert batch.loss[0] > 0.1  # noise remains
 
 
-@given(count=st.integers(1, 700), every=st.one_of(st.just(0), st.integers(2, 800)))
-def test_held_out_speeds(count: int, every: int) -> None:
-    """Every k-th speed, never the first and the last; at least half of the speeds are trained on."""
-    mask = held_out_speeds(count, every)
-    assert mask.shape == (count,)
-    assert mask.sum() <= count / 2
-    assert not mask[[0, -1]].any()
-    assert (np.diff(np.flatnonzero(mask)) == every).all()
-    if every and count > every + 1:
-        assert abs(mask.sum() - count / every) <= 1
-
-
 def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     """A spoiled measurement at a held-out speed leaves the trained problem alone, and shows in the other."""
     setup = setup_of(hydrostatic, optimizer(lm=1), holdout_every=10)
@@ -261,3 +197,19 @@ def test_held_out_speeds_are_not_trained_on(hydrostatic: Machine) -> None:
     train, held_out = (replace(each, scale=clean.problem.scale) for each in (other.problem, other.held_out))
     assert_close(train.loss(parameters), clean.problem.loss(parameters), rtol=1e-14, atol=0)
     assert not torch.equal(held_out.loss(parameters), clean.held_out.loss(parameters))
+
+
+def test_the_rounding_of_a_loss_follows_the_size_of_the_data() -> None:
+    """1e-13 of the loss without any bearing force, whatever the unit of the rows."""
+    from pipeline.identification.residual_loss import ResidualProblem
+
+    rng = np.random.default_rng(0)
+    offset = torch.as_tensor(rng.normal(size=(2, 5, 3)))
+    rest = torch.as_tensor(rng.uniform(size=2))
+    matrix = torch.zeros(2, 5, 3, 3, dtype=torch.float64)
+    found = [
+        ResidualProblem(None, None, size * matrix, size * offset, size**2 * rest, None).rounding()
+        for size in (1.0, 1e3)
+    ]
+    np.testing.assert_allclose(found[0], 1e-13 * np.sqrt((offset.numpy() ** 2).sum((1, 2)) + rest.numpy()))
+    np.testing.assert_allclose(found[1], 1e3 * found[0])

@@ -1,15 +1,13 @@
-"""In which sense phases and angles count: which are one machine mirrored, and whether the data choose the right one."""
+"""The sense of phases and angles: which are one machine mirrored, and whether the data choose the right one."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Run, assert_says
-from running import FEW_SPEEDS, composed, strict_json
-from small_rotor import DIRECT, FITTED, small_machine
+from conftest import assert_says
+from small_rotor import DIRECT, small_machine
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.errors import ConfigError
@@ -89,18 +87,6 @@ def test_a_loss_that_weighs_no_noise_is_refused(setup: FitSetup) -> None:
     residual = replace(setup, loss=setup.loss.model_copy(update={"kind": "residual"}))
     with pytest.raises(ConfigError, match="stage=senses must have loss=response"):
         try_senses(small_machine(DIRECT)[0], residual)
-
-
-@pytest.mark.slow
-def test_the_stage_writes_every_sense_and_the_sentence(run: Run, tmp_path: Path) -> None:
-    """Modelled data are written as the program reads them, with all weights at one angle."""
-    run("senses", composed(*FITTED, *FEW_SPEEDS, "machine.speeds.step_rpm=1000"), tmp_path)
-    found = strict_json(tmp_path / "senses.json")
-    assert len(found["senses"]) == 8
-    flags = ("phase_as_lag", "weights_against_rotation", "rotation_from_y_to_x")
-    (written,) = [one for one in found["senses"] if not any(one[flag] for flag in flags)]
-    assert not written["told_from_the_best"]
-    assert "the data" in found["sentence"]
 
 
 def test_what_a_new_start_gained_is_no_evidence() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_records import configure, write
 
+from ingest.test_records import configure, write
 from pipeline.config.measured import NoRecordingsConfig
 from pipeline.ingest.conventions import SourceUnits
 

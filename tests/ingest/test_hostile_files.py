@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import re
 import struct
-import subprocess
-import sys
 import tempfile
-import zlib
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
@@ -26,19 +21,15 @@ import pyuff
 import scipy.io
 from conftest import refused
 from damaged import damage
+from data.test_mat_files import write_new
 from measured_files import table_config, uff_set, write_hdf5, write_tdms, write_uff
 from reading import wide_runs, with_ingest
 from scipy.io import wavfile
-from test_mat_and_parquet import write_new
 
-from pipeline import files
 from pipeline.data.csv_format import CsvConfig
-from pipeline.data.tables import list_units
 from pipeline.errors import DataError
-from pipeline.files import write_text
 from pipeline.ingest.recordings import read_recording
 from pipeline.ingest.uff import read_uff
-from pipeline.processes import ask_aside
 from pipeline.stages import run_stage
 
 SIGNALS = {"a": np.sin(np.arange(60.0)), "b": np.cos(np.arange(60.0))}
@@ -221,64 +212,6 @@ def test_bombs(bomb: str, tmp_path: Path) -> None:
     write(tmp_path / name)
     with refused(name, sentence):
         read_recording(tmp_path / name, ["a"], CsvConfig(), rate=100.0)
-
-
-@pytest.mark.slow
-def test_a_variable_that_nobody_asks_for_is_not_unpacked(tmp_path: Path) -> None:
-    """1.6 GB of zeros in 2 MB, before what is asked for; themselves they are refused."""
-    path, packed = tmp_path / "a.mat", zlib.compressobj()
-    scipy.io.savemat(path, SIGNALS)
-    size = 1600 * 10**6
-    head = struct.pack("<14i", 14, 48 + size, 6, 8, 6, 0, 5, 8, 1, size // 8, 1 | 1 << 16, ord("z"), 9, size)
-    begin, block = ((packed.compress(part) + packed.flush(zlib.Z_FULL_FLUSH)) for part in (head, bytes(10**6)))
-    whole_file, bomb = path.read_bytes(), begin + 1600 * block
-    path.write_bytes(whole_file[:128] + struct.pack("<2i", 15, len(bomb)) + bomb + whole_file[128:])
-    assert np.array_equal(read_recording(path, ["a"], CsvConfig(), rate=1.0)[1]["a"], SIGNALS["a"])
-    with refused("a.mat", "MemoryError"):
-        read_recording(path, ["z"], CsvConfig(), rate=1.0)
-
-
-def test_columns_whose_field_never_ends(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text('a,b\n"' + "1" * 200000)
-    with refused("a.csv", "field larger than field limit"):
-        list_units(tmp_path / "a.csv")
-
-
-@pytest.mark.parametrize(
-    ("question", "answer"),
-    [
-        ("__import__('os').abort()", "crash"),
-        ("__import__('time').sleep(9)", "longer than 1 s"),
-        ("bytes(10**10)", "Memory"),
-        ("1 / 0", "division by zero"),
-    ],
-)
-def test_an_interpreter_beside_this_one_may_end(question: str, answer: str) -> None:
-    """What it says, or that it ended; the next question has its own answer."""
-    with pytest.raises(RuntimeError, match=answer):
-        ask_aside("builtins:eval", question, 1.0, 2e9)
-    assert ask_aside("builtins:eval", "b'content'", 9.0, 2e9) == b"content"
-
-
-def test_what_a_killed_writer_left_goes_with_the_next_file(tmp_path: Path) -> None:
-    """Its temporary file and folder, and nothing else that is hidden, or being written."""
-    code = """import os, sys; from pathlib import Path; from pipeline.files import write_beside, write_folder
-write_folder(Path(sys.argv[1], 'd'), lambda d: write_beside(d.parent / 'a.txt', lambda f: (f.touch(), os.abort())))"""
-    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False, cwd=Path(__file__).parents[2])
-    left = sorted(tmp_path.iterdir())
-    assert [path.name.partition("-")[0] for path in left] == [".a.writing", ".d.writing"]
-    beside = left[0].with_name(re.sub(r"\d+\.txt", f"{os.getppid()}.txt", left[0].name))
-    for path in (beside, tmp_path / ".mine"):
-        path.touch()
-    write_text(tmp_path / "b.txt", "new")
-    assert sorted(tmp_path.iterdir()) == sorted([beside, tmp_path / ".mine", tmp_path / "b.txt"])
-
-
-def test_what_is_kept_is_for_its_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "CACHE", tmp_path)
-    files.keep("rotors", "key", b"content")
-    assert files.look_up("rotors", "key") == b"content"
-    assert (tmp_path / "rotors" / "key").stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Measured make_tables: conventions, layouts, probes and damage."""
+"""Measured tables: conventions, layouts, probes, damage, and speeds that runs have not in common."""
 
 from __future__ import annotations
 
@@ -9,14 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import refused
+from conftest import assert_says, refused
 from damaged import put
 from measured_files import CONVENTIONS, PAIR, PROBES, Vectors, long, probes_config, table_config, wide
 from reading import DISC, GRID, RPM, RUNOUT, RUNS, TURNS, check_read, long_table, notes, parsed, read, seen, wide_runs
-
-from pipeline.data.coefficient_files import read_coefficients
-from pipeline.data.csv_format import CsvConfig
-from pipeline.data.tables import read_table
 
 Runs = list[dict[str, Any]]
 
@@ -106,18 +102,6 @@ def test_a_workbook_with_a_sheet_a_run(tmp_path: Path) -> None:
     check_read(read(table_config(runs)))
     with refused("must have the sheet 'run onee', but it has not: did you mean 'run one'?"):
         read(table_config([runs[0] | {"sheet": "run onee"}]))
-
-
-@pytest.mark.parametrize(
-    ("cells", "decimal", "value"),
-    [("1,234;5,5", None, 1.234), ("1,234;5.5", None, 1234), ("1.234;5,5", None, 1234), ("1,234;7", ".", 1234)],
-)
-def test_a_mark_that_parts_thousands(cells: str, decimal: str | None, value: float, tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text(f"a;b\n{cells}\n")
-    assert read_table(tmp_path / "t.csv", {"a": "number"}, text=CsvConfig(decimal=decimal))["a"].tolist() == [value]
-    (tmp_path / "t.csv").write_text("a;b\n1,234;7\n")
-    with refused("must show what its commas mean, but '1,234' may have a decimal comma or parted thousands"):
-        read_table(tmp_path / "t.csv", {"a": "number"})
 
 
 def test_other_columns_in_one_run(runs: Runs) -> None:
@@ -333,24 +317,26 @@ def test_forces_of_either_whirl_and_of_their_own_frequency(runs: Runs) -> None:
     assert dataset.frequencies == pytest.approx(dataset.speeds[:, None] * [1.0, 0.5])
 
 
-def test_known_coefficients_at_other_speeds(tmp_path: Path) -> None:
-    rpm = np.linspace(500, 3000, 21)
-    frame = pd.DataFrame({"bearing_node": 0, "speed_rpm": rpm, "cxx": 100 + (rpm / 1000) ** 2})
-    frame.to_csv(tmp_path / "known.csv", index=False)
-    asked = np.array([600.0, 2222.0]) * RPM
-    found = read_coefficients(tmp_path / "known.csv", (0,), asked, {0: ("cxx",)}, between=True)
-    assert found.coefficient("cxx")[0] == pytest.approx([100.36, 100 + 2.222**2])
+def test_how_many_readings_each_run_has_is_said(tmp_path: Path) -> None:
+    """Rows as they are, those of 0.03 % apart as one; or interpolated, each run within its range."""
+    runs = wide_runs(tmp_path, two=seen(1.1, np.append(GRID[2:8] * 1.0003, 2900.0)))
+    found = read(table_config(runs))
+    assert (found.present.sum(axis=0).tolist(), len(found.speeds)) == ([11, 7], 12)
+    said = "not every run was measured at each of the 12 speeds: 'one' at 11, 'two' at 7; what is not there is left out"
+    assert_says(notes(table_config(runs)), said)
+    drawn = table_config(runs, speeds={"start_rpm": 600, "stop_rpm": 3600, "step_rpm": 100})
+    found = read(drawn)
+    assert found.speeds == pytest.approx(np.arange(600, 3001, 100) * RPM)
+    assert [span.tolist() for span in found.present.T] == [[True] * 25, [False] * 5 + [True] * 19 + [False]]
+    assert_says(
+        notes(drawn),
+        "each of the 31 speeds: 'one' at 25, 'two' at 19",
+        "runs were interpolated to more speeds than they were measured at ('one' from 11 to 25, 'two' from 7 to 19)",
+    )
 
 
-def test_an_excel_table_is_read_as_a_csv_is(tmp_path: Path) -> None:
-    frame = pd.DataFrame({"run": ["007", "NA", "x"], "a": [1.0, 2.5, -3e-7], "b": [1.0, np.nan, 3.0]})
-    frame.to_csv(tmp_path / "t.csv", index=False)
-    frame.to_excel(tmp_path / "t.xlsx", index=False)
-    kinds = {"run": "text", "a": "number", "b": "number or blank"}
-    csv, excel = (read_table(tmp_path / f"t.{ending}", kinds) for ending in ("csv", "xlsx"))
-    assert csv["run"].tolist() == ["007", "NA", "x"]
-    np.testing.assert_equal(dict(csv), dict(excel))
-    for value in (pd.Timestamp("2026-05-01"), True):
-        frame.assign(a=value).to_excel(tmp_path / "t.xlsx", index=False)
-        with refused("must have finite numbers in the column 'a', but row 2 has"):
-            read_table(tmp_path / "t.xlsx", kinds)
+def test_a_probe_that_lacks_a_speed_of_its_run_is_refused(tmp_path: Path) -> None:
+    table = long({run["name"]: seen() for run in RUNS})
+    lacking = (table["probe"] == "B") & (table["run"] == "two") & (table["speed"] == 750.0)
+    with refused("every probe of a run must have the same speeds, but run 'two' has 750 rpm at probe 'A'"):
+        read(long_table(tmp_path, table[~lacking]))

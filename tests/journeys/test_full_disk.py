@@ -25,7 +25,7 @@ from running import contents, left_alone
 from pipeline.config.schema import Config
 from pipeline.data.tables import write_table
 from pipeline.errors import DataError, StorageError
-from pipeline.files import write_beside, write_json
+from pipeline.files import write_json
 from pipeline.identification.storage import load_model, save_model
 from pipeline.reporting.blocks import Axes, Curve, Figure, Panel
 from pipeline.reporting.matplotlib_figures import write_figure
@@ -126,20 +126,6 @@ def test_a_file_that_cannot_be_put_in_its_place(
     with refused("must be writable", os.strerror(code), kind=StorageError):
         writers[kind](path)
     assert contents(tmp_path) == {kind: b"old"}
-
-
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt(), ValueError()])
-def test_a_writer_that_fails_half_way(error: BaseException, tmp_path: Path) -> None:
-    path = tmp_path / "x.txt"
-    path.write_text("old")
-
-    def write(beside: Path) -> None:
-        beside.write_text("half")
-        raise error
-
-    with pytest.raises(StorageError if isinstance(error, OSError) else type(error)):
-        write_beside(path, write)
-    assert contents(tmp_path) == {"x.txt": b"old"}
 
 
 STAGES = ["generate", "ingest", "train", "evaluate", "robustness", "predict", "export", "identify"]

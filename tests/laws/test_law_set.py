@@ -1,23 +1,21 @@
-"""Laws of bearings against ROSS, the modelled table, similarity, turned axes, and finite differences."""
+"""Laws of bearings, and their section: against ROSS, the modelled table, similarity, turned axes, differences."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 from training import assert_close
 
-from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.messages import explain_schema_errors
 from pipeline.errors import ConfigError, DataError
 from pipeline.laws.law_set import LawsConfig, LawSet, make_laws
-from pipeline.laws.table import FOLDER, read_film_table
-from pipeline.rotor.bearings import JournalTableConfig
-from pipeline.rotor.ross_adapter import ross
 
 SPEEDS = np.linspace(30.0, 450.0, 7)
 WARM = {"oil_temperature": np.linspace(310.0, 345.0, 7)}
@@ -83,34 +81,6 @@ def test_slopes_are_those_of_differences(given: LawSet, size: float) -> None:
         assert_close((ends[0] - ends[1]) / 2e-5 / scale, slopes[..., i] / scale, rtol=1e-5, atol=1e-6)
 
 
-def test_a_short_bearing_is_that_of_ross() -> None:
-    """All eight, x and y as ROSS has them, from light to heavy loads."""
-    for load in (20.0, 900.0, 3e4):
-        sizes = {"bearing_length": 0.0499, "journal_diameter": 0.0998, "radial_clearance": 1e-4}
-        theirs = ross().CylindricalBearing(n=0, speed=SPEEDS, weight=load, oil_viscosity=0.0166, **sizes)
-        ours = known(laws({**SHORT, "static_load": load}, oil=constant(0.0166)))
-        table = np.stack([getattr(theirs, name) for name in COEFFICIENTS], axis=-1)  # its K(w) is a spline of these
-        np.testing.assert_allclose(ours[0], table, rtol=1e-6, atol=1e-9 * np.abs(table[:, :4]).max())
-
-
-@pytest.mark.parametrize("n_balls", [8, 9, 20])
-def test_a_ball_bearing_is_that_of_ross(n_balls: int) -> None:
-    theirs = ross().BallBearingElement(n=0, n_balls=n_balls, d_balls=0.012, fs=300.0, alpha=np.radians(20))
-    ours = known(laws({**BALL, "n_balls": n_balls}))[0]
-    table = [float(np.ravel(getattr(theirs, name))[0]) for name in COEFFICIENTS]
-    np.testing.assert_allclose(ours, np.tile(table, (7, 1)), rtol=1e-12, atol=1e-6)
-
-
-def test_a_table_is_the_modelled_bearing() -> None:
-    rows = np.loadtxt(FOLDER / f"{LUND['table']}.csv", delimiter=",", skiprows=5)
-    by_rows = {**{k: v for k, v in LUND.items() if k != "table"}, "rows": rows.tolist()}
-    for modelled, law in ((by_rows, LUND), (ELLIPTICAL, ELLIPTICAL)):
-        config = JournalTableConfig.model_validate({**modelled, "oil_viscosity": 0.0166})
-        ours = known(laws(law, oil=constant(0.0166)))[0]
-        theirs = config.tabulate(SPEEDS, {})
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
-
-
 @pytest.mark.parametrize("bearing", [LUND, SHORT], ids=["table", "short"])
 def test_sommerfeld_similarity(bearing: dict[str, Any]) -> None:
     """Twice the viscosity is twice the speed, but for the speed in the damping; and so for clearance and load."""
@@ -128,19 +98,6 @@ def test_a_turned_bearing_is_the_same_in_turned_axes() -> None:
     np.testing.assert_allclose(turned, (turn @ straight.reshape(7, 2, 2, 2) @ turn.T).reshape(7, 8), rtol=1e-9)
     quarter = known(laws({**LUND, "load_angle": "90 deg"}))[0]
     np.testing.assert_allclose(quarter[:, [3, 2, 1, 0]], straight[:, :4] * [1, -1, -1, 1], rtol=1e-9, atol=1e-3)
-
-
-def test_beyond_its_rows_a_table_goes_on_smoothly_and_says_so() -> None:
-    given = laws(unknown(LUND, "radial_clearance"))
-    curve = read_film_table(LUND["table"]).curves[0]
-    for end, side in ((curve.nodes[0], -1), (curve.nodes[-1], 1)):
-        before, after = (curve.evaluate(torch.tensor([end + step], dtype=torch.float64)) for step in (-1e-7, 1e-7))
-        assert_close(before[0], after[0], rtol=1e-6, atol=1e-6)
-        assert_close(before[1], after[1], rtol=1e-4, atol=1e-4)
-        assert torch.isfinite(curve.evaluate(torch.tensor([end + 20.0 * side], dtype=torch.float64))[0]).all()
-    shares = given.outside(torch.tensor([[0.0], [np.log(10.0)]], dtype=torch.float64), SPEEDS, WARM)
-    assert (shares.shape, shares[0, 0]) == ((2, 1), 0)
-    assert shares[1, 0] > 0.5
 
 
 def test_a_record_of_laws_makes_the_same_laws_without_files() -> None:
@@ -189,28 +146,60 @@ def test_what_a_law_must_have_is_named(law: dict[str, object], nodes: tuple[int,
         make_laws(LawsConfig.model_validate({"oil": OIL, "bearings": {0: law}}), nodes)
 
 
-HEADER = "S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy\n"
+GUESSED_OIL = {
+    "law": "exponential",
+    "reference": "55 degC",
+    "viscosity": {"guess": "20 mPa s", "within": 5},
+    "slope": 0.03,
+}
+
+
+GUESSED_SIZES = {"journal_diameter": "99.6 mm", "length": "49.9 mm", "static_load": "892.7 N"}
+
+
+EARLY_VOGEL = {"law": "vogel", "reference": "20 degC", "viscosity": "1 Pa s", "b": "900 K", "c": "30 degC"}
+
+
+def mapping(oil: Any = GUESSED_OIL, **changes: Any) -> dict[str, Any]:
+    """The section with one bearing's law."""
+    bearing = {"kind": "short_journal", **GUESSED_SIZES, "radial_clearance": {"guess": "0.1 mm"}, **changes}
+    return {"oil": oil, "bearings": {1: bearing}}
+
+
+def test_known_numbers_and_guesses_are_si() -> None:
+    laws: Any = LawsConfig.model_validate(mapping(static_load="condition", load_share=0.5))
+    assert (laws.oil.reference, laws.oil.viscosity.guess, laws.oil.viscosity.within) == (328.15, 0.02, 5)
+    bearing = laws.bearings[1]
+    assert (bearing.radial_clearance.guess, bearing.radial_clearance.within) == (1e-4, 3)
+    assert (bearing.static_load, bearing.load_share) == ("condition", 0.5)
+    assert LawsConfig.model_validate(laws.model_dump(mode="json")) == laws
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("changes", "said"),
     [
-        (HEADER.replace("Bxx", "Cxx") + "1,1,1,1,1,1,1,1,1\n", "has no Bxx"),
-        (HEADER + "1,1,1,1,1,1,1,1,x\n", "a number in every cell"),
-        (HEADER + "1,1,1,1,1,1,1,1,1\n" * 5, "ascending Sommerfeld"),
-        (HEADER + "1,1,1,1,1,1,1,1,1\n", "must have 4 rows"),
-        (HEADER + "1,1,1,1,1,1,1,1,nan\n", "must be finite"),
-        (HEADER, "must have 4 rows"),
-        ("", "has no S"),
+        ({"radial_clearance": "60 mm"}, "smaller than the journal's radius, but it is 60 mm and the radius 49.8 mm"),
+        ({"radial_clearance": {"guess": "60 mm"}}, "smaller than the journal's radius"),
+        ({"radial_clearance": "-0.1 mm"}, "bearings.1.radial_clearance: must be above zero .*but got '-0.1 mm'"),
+        ({"radial_clearance": {"guess": "0 mm"}}, "must be above zero"),
+        ({"radial_clearance": {"guess": "0.1 mm", "within": 1}}, "within: must be greater than 1, but got 1"),
+        ({"radial_clearance": {"guess": "0.1 N"}}, "must convert to m"),
+        (
+            {"radial_clearance": {"gues": "0.1 mm"}},
+            "gues: must be a key that the schema knows, but 'gues' is not; did you mean 'guess'",
+        ),
+        ({"radial_clearance": {"guess": "0.1 mm", "with": 2}}, "with: must be a key that the schema knows"),
+        ({"radial_clearance": "condition"}, "radial_clearance: must"),
+        ({"static_load": "conditions"}, "must have a known unit"),
+        ({"load_share": 0.5}, "load_share must be left out"),
+        ({"kind": "journal_table"}, "table: must be given"),
+        ({"kind": "journal_table", "table": "x", "preload": 1.5}, "preload must be between 0 and 1"),
+        ({"oil": None}, "must have an oil for the journal bearing of node 1"),
+        ({"oil": EARLY_VOGEL}, "c below reference"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=said):
-        read_film_table(str(path))
-
-
-def test_a_name_that_is_no_table_is_refused() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'lund_thomsen_two_axial_groove'"):
-        read_film_table("lund_thomsen")
+def test_what_no_bearing_can_be_is_refused(changes: dict[str, Any], said: str) -> None:
+    given = mapping(**changes)
+    with pytest.raises(ValidationError) as error:
+        LawsConfig.model_validate(given)
+    assert re.search(said, explain_schema_errors(error.value, given, LawsConfig))

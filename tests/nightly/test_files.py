@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import ingest.test_hostile_files as by_day
 import test_any_bytes as own
-import test_hostile_files as by_day
 from running import at_night
 
 test_damaged_files = at_night(by_day.test_damaged_files, "seeds", [range(24, 2024)], ids=str)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-import test_storage as mistakes
-import test_study_database as database_tests
-import test_worker as resume
+import tuning.test_storage as mistakes
+import tuning.test_study_database as database_tests
+import tuning.test_worker as resume
 from postgres import Server
 from running import at_night
 

@@ -1,8 +1,9 @@
-"""Known coefficients: a file, one row, values, the machine's bearings, or none where all eight are identified."""
+"""Known coefficients and modelled machines as configured: files, rows, values, and conditions that change nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,18 @@ import pytest
 from conftest import Run, refused
 from damaged import answers, measured
 from running import composed
+from stages.test_measurement import BASE, STATES
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
 from pipeline.config.measured import KnownConfig
 from pipeline.config.schema import Config
+from pipeline.data.dataset import Excitation, VibrationDataset
+from pipeline.data.sensors import list_directions
 from pipeline.errors import ConfigError
-from pipeline.problem.configured import load_known
+from pipeline.problem.configured import build_measurement, find_idle, load_known, model_machine
+from pipeline.rotor.bearing_table import BearingTable
+from pipeline.rotor.stored import load_modelled_bearings, load_rotor
 from pipeline.stages.measurement import load_measurement
 
 SPEEDS = np.array([100.0, 200.0])
@@ -84,3 +91,40 @@ def test_the_bearings_give_nothing_of_what_is_identified(base: Config) -> None:
 def test_values_that_are_none_are_refused_with_their_key(known: str, words: str) -> None:
     with refused(words, kind=ConfigError):
         composed("experiment=ball_bearing", "tracking=none", f"data.known={known}")
+
+
+@pytest.mark.slow
+def test_every_speed_and_run_is_made_at_every_combination_of_the_conditions() -> None:
+    _, _, plain = model_machine(composed(*BASE))
+    _, bearings, found = model_machine(composed(*BASE, STATES))
+    count = len(plain.speeds)
+    assert len(found.speeds) == 4 * count
+    assert found.operating["oil_temperature"].tolist() == [318.15] * 2 * count + [338.15] * 2 * count
+    assert found.operating["load"].tolist() == 2 * ([500.0] * count + [700.0] * count)
+    assert bearings.operating == found.operating
+    np.testing.assert_array_equal(found.displacement, np.tile(plain.displacement, (4, 1, 1)))
+
+
+@pytest.mark.slow
+def test_a_condition_that_changes_no_bearing_is_named() -> None:
+    """Balls follow neither; a film follows what it is told to."""
+    at = dict(zip(("load", "oil_temperature"), np.meshgrid([5.0, 7.0], [310.0, 320.0]), strict=True))
+    operating = {name: values.ravel() for name, values in at.items()}
+    same = BearingTable((0,), np.full(4, 100.0), np.ones((1, 4, 8)), operating)
+    assert find_idle(same) == ["load", "oil_temperature"]
+    assert find_idle(replace(same, values=same.values * operating["oil_temperature"][:, None])) == ["load"]
+
+
+def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:
+    """Half the squares of 3 and 4 um each, at 45 degrees."""
+    names = list(compose_config(["experiment=measured_demo"]).machine.recordings.probes)
+    floors = [f"++machine.recordings.probes.{name}.floor='{3 + i % 2} um'" for i, name in enumerate(names)]
+    config = compose_config(["experiment=measured_demo", *floors])
+    rotor, speeds = load_rotor(config.machine.rotor), np.array([100.0])
+    channels = list_directions(rotor.bearing_nodes)
+    data = VibrationDataset(
+        speeds, ("a",), channels, np.zeros((1, 4, 1)), (Excitation("a", "unbalance", 1, 1e-4, 0.0),)
+    )
+    known = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
+    noise = build_measurement(config, rotor, data, known).noise
+    assert np.array(noise.floors) == pytest.approx(np.tile([2.5e-6 * np.sqrt(2), 0.0, 0.0], (4, 1)))

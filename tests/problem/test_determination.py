@@ -23,7 +23,6 @@ from pipeline.problem.determination import (
 )
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.units import RAD_S_PER_RPM
-from pipeline.write_numbers import write_where
 
 
 @pytest.mark.parametrize(
@@ -59,26 +58,6 @@ def test_a_median_over_the_speeds_and_where_it_does_not_hold() -> None:
     assert judged() == (first, Determined(3, "kyy", np.inf, 1.0, "at 100 % of the speeds"))
     said = describe_determined(judged())
     assert said == "kxx well determined (+- 1 %); kyy not determined (no limit); kxx not below 20 rpm"
-
-
-@pytest.mark.parametrize(
-    ("lost", "where"),
-    [
-        ("000000", ""),
-        ("110000", "below 300 rpm"),
-        ("000011", "above 400 rpm"),
-        ("001100", "between 200 and 500 rpm"),
-        ("100011", "below 200 rpm and above 400 rpm"),
-        ("101010", "at 50 % of the speeds"),
-        ("111111", "at 100 % of the speeds"),
-    ],
-)
-def test_where_a_coefficient_is_not_determined(lost: str, where: str) -> None:
-    """The ends are the next speeds at which it is; several conditions at a speed are no ranges."""
-    mask = np.array([letter == "1" for letter in lost])
-    assert write_where(np.arange(100.0, 700.0, 100.0) * RAD_S_PER_RPM, mask) == where
-    share = f"at {100 * mask.mean():.0f} % of the speeds" if mask.any() else ""
-    assert write_where(np.full(6, 100.0), mask) == share
 
 
 def test_the_summary_is_json_and_is_read_back() -> None:

@@ -1,30 +1,22 @@
-"""What the data determine: the rank theorem, predicted deviations, structures, and the preconditioned loss."""
+"""What the data determine: the rank theorem, structures, and the preconditioned loss."""
 
 from __future__ import annotations
 
-import itertools
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-from conftest import Machine, MachineFactory, Run, assert_says, bearings_of
+from conftest import Machine, MachineFactory, bearings_of
 
 from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.compose import compose_config
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import NoiseModel
-from pipeline.data.simulate import add_noise, simulate
-from pipeline.errors import ConfigError, IdentifiabilityError
+from pipeline.data.dataset import Excitation
+from pipeline.data.simulate import simulate
 from pipeline.identification.fit import fit
 from pipeline.identification.residual_loss import ResidualTraining, initial_parameters, prepare_residual
 from pipeline.identification.training import setup_of
-from pipeline.problem.design import choose, merit
 from pipeline.problem.identifiability import Identifiability, Solvability, decompose, judge_identifiability
-from pipeline.problem.noise import least_squares_deviation, lower_root, residual_root, whiten
 from pipeline.problem.residual import (
     BearingEquations,
     LinearResidual,
@@ -35,7 +27,6 @@ from pipeline.problem.residual import (
 from pipeline.rotor.bearing_table import BearingTable
 from pipeline.unknowns import UnknownSet, tie, unknown_set
 
-EIGHT = "identify.unknowns=[kxx,kxy,kyx,kyy,cxx,cxy,cyx,cyy]"
 FEW = ("machine.speeds.start_rpm=500", "machine.speeds.step_rpm=250")
 UNBALANCES = tuple(
     Excitation(run, "unbalance", node, 1e-4, phase)
@@ -224,11 +215,6 @@ def test_bearings_may_have_different_unknowns(rotor_of: Machine) -> None:
     np.testing.assert_allclose(found.values[0], table.values[0], rtol=1e-5)
 
 
-def test_a_structure_needs_both_of_a_pair() -> None:
-    with pytest.raises(ValueError, match="ties cxy and cyx: both must be unknown or neither"):
-        tie(("kxx", "cxy"), "symmetric_damping")
-
-
 def prepared_with(machine: Machine, *overrides: str) -> ResidualTraining:
     """The training of all eight coefficients of a machine."""
     config = compose_config(["experiment=all_coefficients", *overrides])
@@ -271,57 +257,6 @@ def test_the_start_from_least_squares_is_near_the_answer(rotor_of: Machine) -> N
     assert losses[1] < 1e-3 * losses[0]
 
 
-def fits(machine: Machine, dataset: VibrationDataset, unknowns: UnknownSet, root: np.ndarray) -> LinearResidual:
-    """The weighted equations of a data set."""
-    return whiten(linear_residual(bearing_equations(machine.rotor, dataset), unknowns, machine.bearings), root)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sensors", ["every node", "bearings alone"])
-def test_the_predicted_deviation_is_the_spread_of_noisy_fits(
-    rotor_of: Machine, sensors: str, rng: np.random.Generator
-) -> None:
-    """200 weighted least-squares fits to data with noise: the same deviation within 10 %, for all sixteen."""
-    dataset = simulate(rotor_of.rotor, rotor_of.bearings, (*rotor_of.excitations, BACKWARD))
-    if sensors == "bearings alone":
-        kept = [p for p, (node, _) in enumerate(dataset.channels) if node in (1, 5)]
-        channels = tuple(dataset.channels[p] for p in kept)
-        dataset = replace(dataset, channels=channels, displacement=dataset.displacement[:, kept])
-    unknowns = everything((1, 5))
-    deviation = NoiseModel(0.0, 1e-4).deviation(dataset.displacement)
-    root = residual_root(rotor_of.rotor, dataset, rotor_of.bearings, deviation)
-    predicted = least_squares_deviation(fits(rotor_of, dataset, unknowns, root))
-    found = np.array(
-        [
-            per_speed_least_squares(fits(rotor_of, add_noise(dataset, deviation, rng), unknowns, root))
-            for _ in range(200)
-        ]
-    )
-    # The spread of 200 fits is itself known to 5 %; its median over the speeds to much less.
-    np.testing.assert_allclose(np.median(found.std(axis=0, ddof=1) / predicted, axis=1), 1.0, atol=0.1)
-    bias = (found.mean(axis=0) - rotor_of.bearings.values) / (predicted / np.sqrt(len(found)))
-    assert np.abs(bias).max() < 5  # deviations of the mean, over 60 speeds and sixteen coefficients
-
-
-def test_a_root_whitens_where_its_product_is_no_covariance(rng: np.random.Generator) -> None:
-    """Its factor is Cholesky's, and rows of nearly one direction, 1e-9 apart, stay apart."""
-    root = rng.standard_normal((5, 4, 6)) + 1j * rng.standard_normal((5, 4, 6))
-    np.testing.assert_allclose(lower_root(root), np.linalg.cholesky(root @ root.conj().swapaxes(1, 2)), rtol=1e-9)
-    root[:, 3] = root[:, 2] + 1e-9 * root[:, 3]
-    white = np.linalg.solve(lower_root(root), root)
-    np.testing.assert_allclose(white @ white.conj().swapaxes(1, 2), np.broadcast_to(np.eye(4), (5, 4, 4)), atol=1e-6)
-    with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.cholesky(root @ root.conj().swapaxes(1, 2))
-
-
-def test_what_is_free_has_an_infinite_deviation(rotor_of: Machine) -> None:
-    table = table_of(rotor_of, ANISOTROPIC, ISOTROPIC)
-    dataset = simulate(rotor_of.rotor, table, UNBALANCES)
-    root = residual_root(rotor_of.rotor, dataset, table, NoiseModel(0.0, 1e-3).deviation(dataset.displacement))
-    equations = fits(replace(rotor_of, bearings=table), dataset, everything(table.nodes), root)
-    assert np.isinf(least_squares_deviation(equations)[0]).all()
-
-
 def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
     """Forces at another frequency than the rotor's speed: least squares finds the coefficients of the rotor speed."""
     runs = (
@@ -337,107 +272,3 @@ def test_asynchronous_data_are_identified(machine: MachineFactory) -> None:
     residual: BearingEquations = made.equations
     impedance = made.bearings.impedance(made.dataset.frequencies)
     assert np.abs(residual.residual(impedance)).max() < 1e-8 * np.abs(residual.free_residual).max()
-
-
-def test_frequencies_go_through_the_files(machine: MachineFactory, tmp_path: Path) -> None:
-    """A column of the vibration file; blank and absent mean synchronous."""
-    from pipeline.data.excitation_files import write_excitation
-    from pipeline.data.vibration_files import read_dataset, write_vibration
-
-    runs = (
-        "[{name: a, unbalances: [{node: 2, magnitude: 1e-4}]}, "
-        "{name: b, forces: [{node: 4, magnitude: 10}], frequency_hz: 40}]"
-    )
-    made = machine("experiment=all_coefficients", *FEW, f"machine.runs={runs}")
-    vibration, excitation = tmp_path / "v.csv", tmp_path / "e.csv"
-    write_vibration(vibration, made.dataset, {"rotor": made.rotor.fingerprint})
-    write_excitation(excitation, made.dataset)
-    read = read_dataset(vibration, excitation, made.rotor)
-    np.testing.assert_allclose(read.frequencies, made.dataset.frequencies, rtol=1e-12)
-    text = vibration.read_text().splitlines()
-    blank = [",".join([*line.split(",")[:-1], ""]) if line.startswith("a,") else line for line in text]
-    vibration.write_text("\n".join(blank) + "\n")
-    np.testing.assert_allclose(read_dataset(vibration, excitation, made.rotor).frequencies, read.frequencies, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
-    chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
-    run("generate", chosen, tmp_path / "my data")
-    (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
-    run("diagnose", chosen, tmp_path / "my data")
-    said = capsys.readouterr().out
-    assert_says(said, "bearing at node 8: not identifiable, because", "bearing at node 21: identifiable")
-    account = json.loads((tmp_path / "my data" / "diagnosis.json").read_text())["bearings"]
-    assert (account["8"]["rank"], account["8"]["orbit_rank"]) == ({"least": 4, "most": 4}, {"least": 1, "most": 1})
-    assert set(account["8"]["median_deviation_percent"].values()) == {None}
-    assert account["21"]["verdict"] == "identifiable"
-    table = pd.read_csv(tmp_path / "my data" / "diagnosis.csv")
-    assert len(table) == 2 * 15
-    assert (table.loc[table["bearing_node"] == 8, "rank"] == 4).all()
-    assert (tmp_path / "my data" / "figures" / "diagnosis.png").stat().st_size > 20_000
-
-
-@pytest.mark.slow
-def test_training_of_what_is_not_identifiable(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It stops with the sentence, and force=true goes on with the same sentence as a line."""
-    chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
-    with pytest.raises(IdentifiabilityError, match=r"8: not identifiable, because .*rank 1 of 2.*backward.*force=true"):
-        run("train", chosen, tmp_path / "x")
-    assert not (tmp_path / "x" / "model.json").exists()
-    run("train", [*chosen, "force=true", "optimizer.levenberg_marquardt.steps=2"], tmp_path / "x")
-    assert "bearing at node 8: not identifiable" in capsys.readouterr().out
-    assert (tmp_path / "x" / "model.json").exists()
-
-
-@pytest.mark.slow
-def test_design_beats_the_papers_runs_and_simulations_confirm_it(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The worst deviation falls at least 150 times; 200 noisy fits at 0.1 % give the same ratio within 20 %."""
-    folder = tmp_path / "my design"
-    run("design", ["experiment=all_coefficients"], folder)
-    summary = json.loads((folder / "design.json").read_text())
-    print(f"gain {summary['gain']:.3g}, in simulations {summary['simulated_gain']:.3g}")
-    assert summary["stated_noise"] == {"additive": 0.0, "multiplicative": 0.001, "drift": 0.0, "record": 0.0}
-    assert len(summary["runs"]) == len(compose_config(["experiment=all_coefficients"]).machine.runs)
-    assert summary["gain"] >= 150
-    assert summary["simulated_gain"] == pytest.approx(summary["gain"], rel=0.2)
-    assert "machine.runs_file=" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_a_design_can_be_used_at_once(run: Run, tmp_path: Path) -> None:
-    """``machine.runs_file`` takes it; a file that holds something else is refused by name."""
-    few = ("experiment=all_coefficients", "machine.speeds.step_rpm=500", "design.speeds=5", "design.simulations=0")
-    run("design", few, tmp_path / "a")
-    file = tmp_path / "a" / "designed_excitation.yaml"
-    config = compose_config(["experiment=all_coefficients", f"machine.runs_file='{file}'"])
-    assert [run.name for run in config.machine.runs] == json.loads((tmp_path / "a" / "design.json").read_text())["runs"]
-    assert config.machine.speeds.step_rpm == 500
-    run("generate", ["experiment=all_coefficients", f"machine.runs_file='{file}'"], tmp_path / "b")
-    (tmp_path / "c.yaml").write_text("- 1")
-    (tmp_path / "e.yaml").write_text(file.read_text() + "rotor: {file: x}\n")
-    for name, law in (
-        ("c", r"machine\.runs_file must have speeds and runs"),
-        ("e", r"nothing else, but '.*e\.yaml' has speeds, runs, rotor"),
-        ("absent", r"machine\.runs_file must be speeds and runs such as stage=design writes"),
-    ):
-        with pytest.raises(ConfigError, match=law):
-            compose_config([f"machine.runs_file='{tmp_path / name}.yaml'"])
-
-
-def test_the_best_set_of_runs_is_found(rng: np.random.Generator) -> None:
-    """Greedy exchange against the best of all sets, for random information; both criteria prefer more information."""
-    rows = rng.normal(size=(8, 2, 3, 2, 4)) * 10.0 ** rng.uniform(-1, 1, (8, 1, 1, 1, 1))
-    information = np.einsum("cmsru,cmsrv->cmsuv", rows, rows)
-    present = np.ones((2, 4), dtype=bool)
-    for criterion in ("A", "D"):
-        sets = list(itertools.combinations(range(8), 3))
-        values = [merit(information[list(s)].sum(axis=0), present, criterion) for s in sets]
-        found = merit(information[list(choose(information, present, 3, criterion))].sum(axis=0), present, criterion)
-        assert found <= np.sort(values)[2]  # an exchange may end at a neighbour of the best
-        assert merit(information[:4].sum(axis=0), present, criterion) < merit(
-            information[:3].sum(axis=0), present, criterion
-        )

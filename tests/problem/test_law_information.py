@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from small_rotor import SPEEDS, small_machine
 
 from pipeline.data.sensors import NoiseModel
@@ -24,7 +23,6 @@ from pipeline.problem.law_information import (
     try_warmer,
 )
 from pipeline.problem.measurement import Measurement
-from pipeline.problem.response import respond
 
 WARM = 328.15  # K, the reference
 OIL = {
@@ -129,14 +127,3 @@ def test_too_few_temperatures_are_a_named_error(temperatures: list[float], oil: 
     law = rf"(?s){words}.*measure at a further oil temperature, 15 K apart"
     with pytest.raises(IdentifiabilityError, match=law) if words else nullcontext():
         require_temperatures(laws, {"oil_temperature": np.array(temperatures)})
-
-
-def test_a_search_that_passes_a_singular_machine_turns_back() -> None:
-    """Receptance 1 and stiffness -1: no number, in place of an error that would end the fit."""
-    block = measured([WARM]).response.blocks[0].converted(torch.as_tensor)
-    unit = torch.eye(4, dtype=torch.complex128).expand(len(SPEEDS), 4, 4)
-    change = -unit.clone()
-    change[0] = unit[0]
-    found = respond(replace(block, receptance_bearings=unit), change).sensors
-    assert bool(found[0].isfinite().all())
-    assert bool(found[1:].isnan().all())

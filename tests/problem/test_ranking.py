@@ -26,3 +26,13 @@ def test_rounding_does_not_change_the_order(seed: int) -> None:
     sizes = rng.integers(1, 5, size=12).astype(float)
     moved = sizes * (1 + 1e-14 * rng.normal(size=12))
     assert rank_indices(moved) == rank_indices(sizes) == sorted(range(12), key=lambda i: (-sizes[i], i))
+
+
+def test_of_equal_minima_the_first_goes_on() -> None:
+    """Starts that ended in one valley differ by rounding; those of other valleys follow, the best first."""
+    from pipeline.problem.ranking import find_distinct
+
+    for tie in (1e-9, -1e-9):
+        assert find_distinct([3.0, 1.0, 1.0 + tie, 2.0, 1.005]) == [1, 3, 0]
+    assert find_distinct([1.00001, 1.0]) == [1], "the better of two that differ"
+    assert find_distinct([float("inf"), 1.0]) == [1, 0]

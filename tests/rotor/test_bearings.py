@@ -1,9 +1,8 @@
-"""Modelled bearings whose oil warms and whose load changes: the laws' coefficients, ROSS's, and what is refused."""
+"""Modelled bearings: whose oil warms and whose load changes, of coefficients at some speeds, and what is refused."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -12,13 +11,14 @@ from conftest import refused
 from pydantic import ValidationError
 
 from pipeline.coefficients import COEFFICIENTS
+from pipeline.config.compose import compose_config
 from pipeline.config.quantities import Angle, Length, ModelledLoad
 from pipeline.config.rotor import RotorConfig
 from pipeline.errors import ConfigError
 from pipeline.laws.law_set import LawsConfig, make_laws
-from pipeline.rotor.bearings import PerNodeBearingConfig, _Bearing
+from pipeline.rotor.bearings import PerNodeBearingConfig, SpeedTableConfig, _Bearing
 from pipeline.rotor.ross_adapter import bearing_table, ross
-from pipeline.rotor.stored import load_modelled_bearings
+from pipeline.units import RAD_S_PER_RPM
 
 ROTOR = RotorConfig.model_validate(
     {
@@ -115,23 +115,6 @@ def test_a_condition_that_is_missing_is_named() -> None:
             bearing_table(ROTOR, given, SPEEDS, states)
 
 
-def test_kept_coefficients_are_those_of_their_conditions_and_file(tmp_path: Path) -> None:
-    """The cache asks for the conditions and for what the table's file holds."""
-    film = bearings({**SHORT, "static_load": "500 N", "oil_viscosity": OIL})
-    cold, warm = (load_modelled_bearings(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, t)}) for t in (310, 330))
-    assert not np.allclose(cold.values, warm.values, rtol=0.01)
-    again = load_modelled_bearings(ROTOR, film, SPEEDS, {"oil_temperature": np.full(15, 330)})
-    np.testing.assert_array_equal(again.values, warm.values)
-    assert again.operating["oil_temperature"][0] == 330
-    path, found = tmp_path / "own.csv", []
-    for stiffness in (1, 2):
-        rows = [f"{s},{stiffness},1,-1,1,1,0,0,1" for s in (0.001, 0.1, 10, 1000)]
-        path.write_text("\n".join(["S,Kxx,Kxy,Kyx,Kyy,Bxx,Bxy,Byx,Byy", *rows]), encoding="utf-8")
-        given = bearings({**TABLE, "table": str(path), "static_load": "500 N", "oil_viscosity": 0.02})
-        found.append(load_modelled_bearings(ROTOR, given, SPEEDS).coefficient("kyy"))
-    np.testing.assert_allclose(found[1], 2 * found[0])
-
-
 class RollerBearingConfig(_Bearing):
     """A kind that somebody adds: what it is, and ROSS's element of it."""
 
@@ -170,3 +153,32 @@ def test_a_constant_oil_may_be_a_number_or_a_law() -> None:
     np.testing.assert_array_equal(
         *(bearing_table(ROTOR, bearings({**SHORT, **oil}), SPEEDS[:5]).values for oil in (named, plain))
     )
+
+
+FIRST, SECOND = (1000.0, *range(1, 9)), (3000.0, *range(11, 19))
+
+
+def test_between_the_rows_are_straight_lines() -> None:
+    table = SpeedTableConfig(kind="speed_table", rows=(FIRST, SECOND))
+    found = table.tabulate(np.array([1000.0, 1500.0, 3000.0]) * RAD_S_PER_RPM)
+    np.testing.assert_allclose(found, [FIRST[1:], np.array(FIRST[1:]) + 2.5, SECOND[1:]], rtol=1e-12)
+
+
+def test_speeds_beyond_the_rows_are_refused() -> None:
+    table = SpeedTableConfig(kind="speed_table", rows=(FIRST, SECOND))
+    with pytest.raises(ConfigError, match="must span all speeds, but it has 1000 to 3000 rpm and 3100 rpm is needed"):
+        table.tabulate(np.array([1500.0, 3100.0]) * RAD_S_PER_RPM)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (f"[{list(SECOND)},{list(FIRST)}]", "ascending speeds"),
+        (f"[{list(FIRST)}]", "at least 2"),
+        (f"[{list(FIRST)[:5]},{list(SECOND)[:5]}]", "at least 9"),
+    ],
+)
+def test_a_table_that_breaks_its_law_is_refused(rows: str, said: str) -> None:
+    linear = "{kind: speed_table, rows: " + rows + "}"
+    with pytest.raises(ConfigError, match=said):
+        compose_config(["machine=two_discs", f"machine.bearings={linear}"])

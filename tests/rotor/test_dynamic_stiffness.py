@@ -1,4 +1,4 @@
-"""The unbalance response: against ROSS's own, against closed forms, and by the laws that it obeys."""
+"""The dynamic stiffness: the response against ROSS's own and dense solutions, and the laws that matrices obey."""
 
 from __future__ import annotations
 
@@ -8,25 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import Machine, MachineFactory, bearings_of, examples
-from hypothesis import given
-from hypothesis import strategies as st
+from conftest import Machine, MachineFactory
 from small_rotor import STEEL
 
 from benchmarks.machines import refined
 from benchmarks.ross_oracle import ross_rotor
-from pipeline.coefficients import COEFFICIENTS
 from pipeline.config.loader import list_options
 from pipeline.config.rotor import RotorConfig
-from pipeline.data.dataset import Excitation, assemble_forces
+from pipeline.data.dataset import Excitation
 from pipeline.data.simulate import solve_response
 from pipeline.errors import PipelineError
-from pipeline.rotor.bearing_table import BearingTable
 from pipeline.rotor.dynamic_stiffness import apply, banded, solve
-from pipeline.rotor.model import RotorModel, bearing_dof, translation_dof
+from pipeline.rotor.model import RotorModel, bearing_dof
 from pipeline.rotor.ross_adapter import assemble
-from pipeline.twin.modes import find_critical_speeds, find_modes
-from pipeline.units import RAD_S_PER_RPM
 
 
 def dense(rotor: RotorModel, impedance: np.ndarray | None, frequencies: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -106,50 +100,6 @@ def test_response_equals_ross_on_finer_meshes(experiment: str) -> None:
     assert_equals_ross(made)
 
 
-JEFFCOTT = {"length": 1.0, "diameter": 0.02, "mass": 10.0}
-SHAFT_STIFFNESS = 48 * STEEL["youngs_modulus"] * (math.pi * 0.02**4 / 64) / 1.0**3  # 48 E I / L^3, N/m
-
-
-def jeffcott(density: float) -> RotorModel:
-    """A disc (a point mass but for 1e-9 kg m^2) in the middle of a shaft of hardly any mass; no shear."""
-    return assemble(
-        RotorConfig.model_validate(
-            {
-                "shaft": [{"length": 1.0, "outer_diameter": 0.02, "elements": 4}],
-                "material": STEEL | {"density": density},
-                "discs": [{"node": 2, "mass": JEFFCOTT["mass"], "diametral_inertia": 1e-9, "polar_inertia": 1e-9}],
-                "bearing_nodes": [0, 4],
-                "shear_effects": False,
-            }
-        )
-    )
-
-
-@pytest.mark.parametrize(("stiffness", "damping"), [(1e12, 0.0), (2e5, 40.0), (2e4, 300.0)])
-def test_jeffcott_rotor(stiffness: float, damping: float) -> None:
-    """Jeffcott (1919): Q = U w^2 / (k - w^2 m), k of the shaft, 48 E I / L^3, in series with the bearings.
-
-    A shaft of 1e-6 kg/m^3 is massless to 1e-8 here, below, at (with damping) and above the critical speed.
-    """
-    critical = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
-    speeds = critical * np.array([0.1, 0.5, 0.9, 0.99, 1.01, 1.3, 3.0])
-    table = bearings_of((0, 4), speeds, kxx=stiffness, kyy=stiffness, cxx=damping, cyy=damping)
-    unbalance = Excitation("a", "unbalance", 2, 2e-4, 0.7)
-    response = solve_response(jeffcott(1e-6), table, (unbalance,), ("a",))[:, translation_dof(2, 0), 0]
-    series = 1 / (1 / SHAFT_STIFFNESS + 1 / (2 * (stiffness + 1j * speeds * damping)))
-    expected = 2e-4 * np.exp(0.7j) * speeds**2 / (series - speeds**2 * JEFFCOTT["mass"])
-    assert np.abs(response / expected - 1).max() < 1e-8
-
-
-def test_jeffcott_critical_speed() -> None:
-    """Jeffcott (1919): the critical speed is sqrt(k / m). The shaft's mass (0.003 %) may lower it by 1e-5."""
-    expected = math.sqrt(SHAFT_STIFFNESS / JEFFCOTT["mass"])
-    speeds = expected * np.linspace(0.8, 1.2, 8)
-    found = find_critical_speeds(find_modes(jeffcott(1.0), bearings_of((0, 4), speeds, kxx=1e10, kyy=1e10)))
-    # Forward and backward, the same without gyroscopic effect.
-    assert [critical.speed for critical in found] == pytest.approx([expected, expected], rel=2e-5)
-
-
 def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length() -> None:
     """Simply supported Rayleigh beam: w_n^2 = (E I / rho A) k^4 / (1 + (k r)^2) with k = n pi / L.
 
@@ -177,54 +127,6 @@ def test_beam_frequencies_converge_with_the_fourth_power_of_the_element_length()
         errors.append(found[::2] / exact - 1)
     assert (np.array(errors) > 0).all()  # a conforming element is too stiff
     assert np.log2(np.array(errors[:-1]) / np.array(errors[1:])) == pytest.approx(np.full((2, 2), 4.0), abs=0.1)
-
-
-PHASES = st.floats(-math.pi, math.pi)
-
-
-@examples(25)
-@given(turn=PHASES, phase=PHASES, scale=st.floats(1e-3, 1e3))
-def test_turning_the_unbalance_turns_the_response(
-    hydrostatic: Machine, turn: float, phase: float, scale: float
-) -> None:
-    """An unbalance turned by phi and multiplied by s gives s e^{j phi} Q: a turn is a shift in time."""
-    few = hydrostatic.bearings.at(np.arange(0, 60, 12))
-    before = Excitation("a", "unbalance", 4, 1e-4, phase)
-    after = replace(before, run="b", phase=phase + turn, magnitude=1e-4 * scale)
-    q = solve_response(hydrostatic.rotor, few, (before, after), ("a", "b"))
-    wanted = scale * np.exp(1j * turn) * q[..., 0]
-    assert np.abs(q[..., 1] - wanted).max() <= 1e-10 * np.abs(wanted).max()
-
-
-def test_isotropic_bearings_give_circular_orbits(hydrostatic: Machine) -> None:
-    """On an axisymmetric system (also with kxy = -kyx) unbalance excites forward whirl only: Q_y = -j Q_x."""
-    table = bearings_of(
-        hydrostatic.rotor.bearing_nodes,
-        hydrostatic.speeds,
-        **{"kxx": 2e7, "kyy": 2e7, "kxy": 3e6, "kyx": -3e6, "cxx": 2e4, "cyy": 2e4, "cxy": 1e3, "cyx": -1e3},
-    )
-    for whirl, turn in (("forward", -1j), ("backward", 1j)):
-        acting = tuple(replace(e, whirl=whirl) for e in hydrostatic.excitations)
-        q = solve_response(hydrostatic.rotor, table, acting, hydrostatic.runs)
-        assert np.abs(q[:, 1::4] - turn * q[:, 0::4]).max() <= 1e-10 * np.abs(q[:, 0::4]).max()
-
-
-def test_turning_the_frame_turns_the_response(hydrostatic: Machine) -> None:
-    """Frame indifference: in axes turned by 90 degrees (x' = y, y' = -x) H becomes R H R^T, Q becomes R Q.
-
-    Entry by entry kxx' = kyy, kyy' = kxx, kxy' = -kyx, kyx' = -kxy; the unbalance starts at -90 degrees.
-    """
-    table = hydrostatic.bearings
-    source = {"xx": ("yy", 1), "yy": ("xx", 1), "xy": ("yx", -1), "yx": ("xy", -1)}
-    moved = [(name[0], *source[name[1:]]) for name in COEFFICIENTS]
-    columns = [sign * table.coefficient(kind + entry) for kind, entry, sign in moved]
-    turned = BearingTable(table.nodes, table.speeds, np.stack(columns, axis=-1))
-    excitations = tuple(replace(e, phase=e.phase - math.pi / 2) for e in hydrostatic.excitations)
-    q = solve_response(hydrostatic.rotor, turned, excitations, hydrostatic.runs)
-    pairs = q.reshape(len(q), -1, 2, q.shape[-1])  # (x, y) and (alpha, beta) of each node: both are vectors
-    wanted = hydrostatic.response.reshape(pairs.shape)
-    wanted = np.stack([wanted[:, :, 1], -wanted[:, :, 0]], axis=2)
-    assert (np.abs(pairs - wanted) / np.abs(wanted).max(axis=(1, 2), keepdims=True)).max() < 1e-9
 
 
 def receptance(rotor: RotorModel, frequencies: np.ndarray, speeds: np.ndarray, impedance: np.ndarray) -> np.ndarray:
@@ -281,23 +183,6 @@ def test_product_equals_the_dense_one(hydrostatic: Machine, rng: np.random.Gener
     assert np.abs(apply(rotor, rows, columns, frequencies, speeds, x) - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
-def test_unbalance_force(hydrostatic: Machine) -> None:
-    """method.md, section 1: F = w^2 m e e^{jp} [1, -j] forward, [1, +j] backward; a force has no w^2."""
-    w = np.array([10.0, 300.0])
-    made = (
-        Excitation("a", "unbalance", 2, 1e-4, 0.3),
-        Excitation("b", "unbalance", 2, 1e-4, 0.3, "backward"),
-        Excitation("c", "force", 3, 5.0, -1.0),
-    )
-    force = assemble_forces(hydrostatic.rotor, made, ("a", "b", "c"), w)
-    size = 1e-4 * w**2 * np.exp(0.3j)
-    np.testing.assert_allclose(force[:, 8:10, 0], np.stack([size, -1j * size], axis=1), rtol=1e-14)
-    np.testing.assert_allclose(force[:, 8:10, 1], np.stack([size, 1j * size], axis=1), rtol=1e-14)
-    rotating = np.tile(5 * np.exp(-1j) * np.array([1, -1j]), (2, 1))
-    np.testing.assert_allclose(force[:, 12:14, 2], rotating, rtol=1e-14)
-    assert np.count_nonzero(force) == 12
-
-
 def test_singular_system_is_refused(hydrostatic: Machine) -> None:
     """A DOF without mass and stiffness makes D singular: a sentence with the speed, never a zero or a NaN."""
     rotor = hydrostatic.rotor
@@ -319,12 +204,3 @@ def test_rigid_body_without_bearings_is_free(hydrostatic: Machine) -> None:
     assert moved @ rotor.mass @ moved == pytest.approx(rotor.total_mass, rel=1e-12)
     for matrix, sign in ((rotor.mass, 1), (rotor.stiffness, 1), (rotor.gyroscopic, -1)):
         assert np.abs(matrix - sign * matrix.T).max() <= 1e-12 * np.abs(matrix).max()
-
-
-def test_rigid_rotor_far_above_its_critical_speeds() -> None:
-    """A free rotor turns about its centre of mass: with U at its middle, Q there tends to -U / m."""
-    shaft = {"length": 0.2, "outer_diameter": 0.1, "elements": 2}
-    rotor = assemble(RotorConfig.model_validate({"shaft": [shaft], "material": STEEL, "bearing_nodes": [0, 2]}))
-    table = bearings_of((0, 2), np.array([6000.0]) * RAD_S_PER_RPM, kxx=100.0, kyy=100.0)
-    q = solve_response(rotor, table, (Excitation("a", "unbalance", 1, 1e-4, 0.0),), ("a",))
-    assert q[0, 4, 0] == pytest.approx(-1e-4 / rotor.total_mass, rel=2e-3)

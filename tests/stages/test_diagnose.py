@@ -1,9 +1,11 @@
-"""``stage=diagnose`` and ``stage=design`` of a machine with bearing laws, and a fit that lacks a second temperature."""
+"""stage=diagnose: machines with bearing laws, a second temperature that lacks, and what is not identifiable."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from conftest import Run, assert_says
 from running import composed, strict_json
@@ -83,3 +85,22 @@ def test_a_design_that_lacks_something_says_what(
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         run("design", composed(*machine("[45 degC]"), *overrides), tmp_path)
+
+
+@pytest.mark.slow
+def test_diagnose_writes_its_account(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """JSON, a table with a row a bearing and speed, a figure; the verdict. No modelled coefficient is read."""
+    chosen = ("experiment=compressor_journal_and_isotropic", "machine.speeds.step_rpm=300")
+    run("generate", chosen, tmp_path / "my data")
+    (tmp_path / "my data" / "modelled_coefficients.csv").unlink()
+    run("diagnose", chosen, tmp_path / "my data")
+    said = capsys.readouterr().out
+    assert_says(said, "bearing at node 8: not identifiable, because", "bearing at node 21: identifiable")
+    account = json.loads((tmp_path / "my data" / "diagnosis.json").read_text())["bearings"]
+    assert (account["8"]["rank"], account["8"]["orbit_rank"]) == ({"least": 4, "most": 4}, {"least": 1, "most": 1})
+    assert set(account["8"]["median_deviation_percent"].values()) == {None}
+    assert account["21"]["verdict"] == "identifiable"
+    table = pd.read_csv(tmp_path / "my data" / "diagnosis.csv")
+    assert len(table) == 2 * 15
+    assert (table.loc[table["bearing_node"] == 8, "rank"] == 4).all()
+    assert (tmp_path / "my data" / "figures" / "diagnosis.png").stat().st_size > 20_000

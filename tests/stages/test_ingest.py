@@ -1,4 +1,4 @@
-"""stage=ingest: data of every format become the files that training reads; what does not say enough is refused."""
+"""stage=ingest: data of every format, and records, become the files that training reads, or are refused."""
 
 from __future__ import annotations
 
@@ -11,135 +11,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MachineFactory, Run, assert_says, refused
+from conftest import Artifacts, MachineFactory, Run, assert_says, refused
 from damaged import measured
 from measured_files import CONVENTIONS, long, probes_config, table_config, vectors_of
-from reading import BARE, DISC, ONE, RPM, RUNS, _mapping, read, waves, wide_runs, with_ingest
+from reading import RPM, _mapping, with_ingest
+from running import composed, names_in, strict_json
 
 from pipeline.__main__ import main
 from pipeline.config.quantities import GuessConfig
-from pipeline.data.dataset import VibrationDataset
+from pipeline.config.schema import Config
+from pipeline.data.coefficient_files import read_coefficients
 from pipeline.data.vibration_files import read_dataset
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import ConfigError, DataError, PipelineError
+from pipeline.identification.output_error_fit import fit_output_error
+from pipeline.identification.training import setup_of
 from pipeline.ingest.plausibility import note_size, note_whirl, require_clearance
 from pipeline.reporting import ingested
 from pipeline.rotor.bearings import CylindricalBearingConfig
 from pipeline.stages import run_stage
-
-BAD_CONFIG: dict[str, tuple[dict[str, Any], str]] = {
-    **{
-        f"no {missing}": (
-            table_config([ONE], conventions={key: value for key, value in CONVENTIONS.items() if key != missing}),
-            f"machine.recordings.conventions.{missing}: must be given",
-        )
-        for missing in CONVENTIONS
-    },
-    "an unknown unit": (
-        table_config([ONE], conventions=CONVENTIONS | {"length": "umm"}),
-        "um, mil or mm), but got 'umm'",
-    ),
-    "a unit of something else": (
-        table_config([ONE], conventions=CONVENTIONS | {"length": "kg"}),
-        "must be a unit of m",
-    ),
-    "a sense of phase": (table_config([ONE], conventions=CONVENTIONS | {"phase": "lagg"}), "did you mean 'lag'?"),
-    "degrees without a unit": (
-        table_config([ONE], probes={"A": {"node": 0, "angle": 45}}),
-        "must carry its unit (such as 45 deg)",
-    ),
-    "a weight without a unit": (
-        table_config([ONE | {"unbalances": [DISC | {"magnitude": 200}]}]),
-        "must carry its unit (such as 100 g mm), since a number alone is in kg m, but got 200",
-    ),
-    "a run without excitation": (
-        table_config([ONE, BARE]),
-        "run 'two' must have unbalances or forces, but it has none",
-    ),
-    "an excited baseline": (
-        table_config([ONE], baseline="one"),
-        "must have nothing that excites the baseline run 'one'",
-    ),
-    "no such baseline": (
-        table_config([ONE], baseline="onne"),
-        "must have the baseline among its runs, but it is 'onne'; did you mean 'one'?",
-    ),
-    "two runs of one name": (table_config([ONE, ONE]), "must give every run a name of its own"),
-    "no meaning of angles": (table_config([ONE], shaft_angle=None), "must say in shaft_angle how phases of unbalances"),
-    "no angle of the tacho": (table_config([ONE], shaft_angle="with_rotation"), "must give tacho.angle"),
-    "no file": (table_config([RUNS[0]]), "run 'one' must have a file, but it has none"),
-    "no columns": (table_config([ONE], probes=probes_config()), "probe 'A' must have columns in the wide layout"),
-    "one column twice": (
-        table_config([ONE], probes=probes_config(columns=lambda name: {"amplitude": "a", "phase": "a"})),
-        "probe 'A' must have another column of phases than 'a', but has none",
-    ),
-    "no phase of an unbalance": (
-        table_config([{"name": "one", "file": "a", "unbalances": [{"node": 1, "magnitude": "1 g mm"}]}]),
-        "machine.recordings.runs.0.unbalances.0.phase: must be given",
-    ),
-    "unbalances at a frequency of their own": (
-        table_config([ONE | {"frequency_hz": 30}]),
-        "run 'one' must have no unbalances where its forces have a frequency",
-    ),
-    "slow roll both ways": (
-        table_config([ONE], slow_roll={"below_rpm": 300, "vectors": {"A": {"amplitude": "1 um", "phase": "1 rad"}}}),
-        "must give either below_rpm or vectors, but got both",
-    ),
-    "slow roll of some probes": (
-        table_config(
-            [ONE],
-            slow_roll={
-                "vectors": {"A": {"amplitude": "1 um", "phase": "1 rad"}},
-                "amplitude": "rms",
-                "phase": "lag",
-            },
-        ),
-        "must have one vector a probe (A, B, C, D)",
-    ),
-    "slow roll without conventions": (
-        table_config([ONE], slow_roll={"vectors": {"A": {"amplitude": "1 um", "phase": "1 rad"}}}),
-        "must give amplitude (zero_to_peak, peak_to_peak or rms) and phase",
-    ),
-    "comma twice": (
-        table_config([ONE], csv={"delimiter": ",", "decimal": ","}),
-        "must have a delimiter that is not the decimal mark",
-    ),
-    "no encoding": (table_config([ONE], csv={"encoding": "cp12"}), "must have an encoding such as utf-8 or cp1252"),
-    "no unit of signals": (waves(signal_unit=None), "signal_unit"),
-    "no kind of records": (waves(records=None), "must give records (constant_speed or run_up)"),
-    "a run-up without speeds": (waves(speeds=None), "must give speeds"),
-    "no scale": (waves(probes=probes_config(channel=lambda name: name)), "probe 'A' must have a scale"),
-    "a scale without unit": (
-        waves(probes=probes_config(channel=lambda name: name, scale=lambda name: 8)),
-        "must carry its unit (such as 7.87 V/mm, 200 mV/mil",
-    ),
-    "a scale for lengths": (waves(signal_unit="um"), "must have no scale where signals are in um"),
-    "teeth without a mark": (
-        waves(tacho={"channel": "tacho", "edge": "rising", "pulses_per_revolution": 20}),
-        "must give mark_channel where there are 20 pulses a revolution",
-    ),
-    "no edge": (waves(tacho={"channel": "tacho"}), "machine.recordings.tacho.edge: must be given"),
-    "two clocks": (waves(sample_rate_attribute="fs"), "must give at most one of time, sample_rate and"),
-    "no unit of time": (waves(sample_rate=None, time="t"), "must give time_unit"),
-    "several files of a run-up": (
-        waves(runs=[RUNS[0] | {"files": ["a.h5", "b.h5"]}]),
-        "must have one file for a run-up, but it has 2",
-    ),
-    "file and files": (waves(runs=[ONE | {"files": ["a.h5"]}]), "must have file or files, but it has both"),
-    "an unknown key": (table_config([ONE], convention={}), "did you mean 'conventions'?"),
-    "an unknown key of a run": (
-        table_config([ONE | {"speed": 3}]),
-        "runs.0.speed: must be a key that the schema knows",
-    ),
-    "an unknown format": ({"format": "tabel"}, "did you mean 'table'?"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_CONFIG)
-def test_a_configuration_that_says_too_little(case: str) -> None:
-    section, words = BAD_CONFIG[case]
-    with refused(words, "machine.recordings", kind=ConfigError):
-        with_ingest(section)
-
+from pipeline.stages.measurement import load_dataset, load_measurement
 
 KNOWN = ["kxy", "kyx", "cxx", "cxy", "cyx", "cyy"]
 
@@ -304,24 +194,45 @@ def test_nothing_to_read_and_nodes_that_the_rotor_lacks(ball_tables: Path, capsy
     assert not (ball_tables / "x").exists()
 
 
+def config_of(folder: Path, *overrides: str) -> Config:
+    return composed("experiment=rk4", "tracking=none", f"output={folder}", *overrides)
+
+
 @pytest.mark.slow
-def test_figures_show_something(tmp_path: Path) -> None:
-    """Pictures of some size with curves in several colours; one speed, and a baseline that stands still, among them."""
-    from matplotlib import image
+def test_the_files_and_the_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_stage(config_of(tmp_path, "stage=ingest"))
+    assert_says(capsys.readouterr().out, "204 records of 68 conditions at 2 speeds, 4 probes", "angle a phase lag")
+    summary = strict_json(tmp_path / "ingest.json")
+    assert (summary["records"], summary["conditions"], summary["nodes"]) == (204, 68, [6, 22])
+    assert "modelled_coefficients.csv" not in names_in(tmp_path)
+    assert (tmp_path / "figures" / "ingest_records.png").stat().st_size > 10_000
+    dataset = load_dataset(config_of(tmp_path))
+    assert len(set(dataset.conditions or ())) == 68
+    assert abs(dataset.frequencies / dataset.speeds[:, None] - 1).max() < 0.01
+    cross = {node: ("kxy", "kyx", "cxy", "cyx") for node in (2, 26)}
+    assert not read_coefficients(tmp_path / "known_coefficients.csv", (2, 26), dataset.speeds, cross).values.any()
 
-    from pipeline.reporting.measured_figures import draw_bode, draw_measured_orbits
 
-    dataset = read(table_config(wide_runs(tmp_path)))
-    displacement = dataset.displacement * np.array([0.0, 1.0])
-    still = VibrationDataset(dataset.speeds, dataset.runs, dataset.channels, displacement, dataset.excitations)
-    one = VibrationDataset(dataset.speeds[:1], dataset.runs, dataset.channels, displacement[:1], dataset.excitations)
-    node = dataset.channels[0][0]
-    probes = {"left": (node, 45.0), "right": (node, 135.0), "odd": (node, 0.0)}
-    for path in (
-        draw_bode(tmp_path / "a.png", still, "one", probes),
-        draw_measured_orbits(tmp_path / "b.png", dataset, None),
-        draw_measured_orbits(tmp_path / "c.png", one, "one"),
-    ):
-        pixels = image.imread(path)
-        assert min(pixels.shape[:2]) > 500
-        assert (np.ptp(pixels[..., :3], axis=-1) > 0.2).sum() > 500
+@pytest.mark.slow
+def test_weights_on_a_node_that_the_rotor_lacks(tmp_path: Path) -> None:
+    config = config_of(tmp_path, "stage=ingest", "machine.recordings.weights.0.node=99")
+    with pytest.raises(PipelineError, match=r"machine\.recordings\.weights"):
+        run_stage(config)
+
+
+NEEDED = (
+    *("vibration.parquet", "excitation.csv", "known_coefficients.csv", "training.json", "history.csv"),
+    *("model.json", "model.safetensors", "uncertainty.safetensors"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guess", ["1e4 N/m", pytest.param("1e8 N/m", marks=pytest.mark.nightly)])
+def test_the_guess_only_starts_the_fit(artifacts: Artifacts, tmp_path: Path, guess: str) -> None:
+    """Two orders to either side of the configured one the same minimum, in which the rotor was solved."""
+    config = config_of(artifacts.copied("rk4", NEEDED[:3], tmp_path), f"model.initial_stiffness={guess}")
+    fit = fit_output_error(load_measurement(config), setup_of(config))
+    solved = fit.problem.update(fit.weights)
+    assert float(solved.loss(fit.weights)) == pytest.approx(0.4305217, rel=1e-6)
+    stiffness = solved.unknowns(fit.weights)[0][0, 0, [0, 1, 4, 5]].numpy()
+    assert stiffness == pytest.approx([7.05e5, 3.26e6, 2.23e5, 3.68e5], rel=0.03)

@@ -20,7 +20,6 @@ from scipy.io import wavfile
 from pipeline.__main__ import main
 from pipeline.config.compose import compose_config, compose_stages
 from pipeline.errors import ConfigError, DataError
-from pipeline.ingest.recognition import recognize_recordings
 from pipeline.stages import run_stage
 from pipeline.stages.new import fill_template
 
@@ -215,24 +214,6 @@ def test_a_file_of_a_logger_fills_the_machine_file(kind: str, folder: Path, caps
         assert ("; so for 'first_disc.csv'; so for 'second_disc.csv'" in said) == ("is read as" in said)
     assert np.allclose(vibration[0]["amplitude_m"], vibration[1]["amplitude_m"], rtol=1e-9)
     assert np.allclose(vibration[0]["phase_deg"], vibration[1]["phase_deg"], atol=1e-6)
-
-
-def test_what_a_file_does_not_say_is_left_to_a_person(tmp_path: Path) -> None:
-    """A convention that no word tells has no value; columns must belong together."""
-    columns = {"n [1/min]": [600.0, 700.0], "A Amp": [1.0, 2.0], "A Phase": [3.0, 4.0], "note": [0, 0]}
-    pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
-    kind, guesses = recognize_recordings(tmp_path / "a.csv", tmp_path)
-    said = {key: guesses[key] for key in ("length", "amplitude", "phase", "phase_unit", "speed", "speeds", "baseline")}
-    assert (kind, said) == (
-        "tables",
-        dict.fromkeys(("length", "amplitude", "phase", "phase_unit"), "???")
-        | {"speed": "rpm", "speeds": "{start_rpm: 600, stop_rpm: 700, step_rpm: 100}", "baseline": '"???"'},
-    )
-    assert '"A": {node: 1, angle: 45 deg, columns: {amplitude: "A Amp", phase: "A Phase"}}' in guesses["probes"]
-    assert "note" not in guesses["probes"]
-    pd.DataFrame({"speed": [1.0], "A Phase": [2.0]}).to_csv(tmp_path / "c.csv", index=False)
-    with refused("must have an amplitude and a phase of each probe", "speed, A Phase"):
-        recognize_recordings(tmp_path / "c.csv", tmp_path)
 
 
 TIME = np.arange(400) / 1000

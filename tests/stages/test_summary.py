@@ -1,18 +1,14 @@
-"""The stage `summary`: the results on one screen and in one picture, of modelled and of measured machines."""
+"""stage=summary: the results on one screen and in one picture, of modelled and of measured machines."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import numpy as np
 import pytest
 from conftest import Run, assert_says, pictures_left_out
 
 from pipeline.config.compose import compose_config
-from pipeline.reporting.summary import WIDTH, list_critical_speeds
-from pipeline.twin.modes import amplify, require_separation
+from pipeline.reporting.summary import WIDTH
 
 FEW = [
     *("machine.speeds.start_rpm=500", "machine.speeds.stop_rpm=5500", "machine.speeds.step_rpm=250"),
@@ -75,19 +71,3 @@ def test_the_same_again(experiment: str, run: Run, folder: Path) -> None:
     assert first[1].startswith(b"\x89PNG")
     run("summary", [f"experiment={experiment}", *EXPERIMENTS[experiment]], folder)
     assert [file.read_bytes() for file in files] == first
-
-
-def test_critically_damped_speeds_stand_apart() -> None:
-    """Decrements of 0.42 and 10 have amplification factors of 7.5 and 0.59; API 617 asks no margin below 2.5."""
-    speeds = SimpleNamespace(speeds=np.array([20.0, 100.0]) * np.pi)
-    fit: Any = SimpleNamespace(answer=SimpleNamespace(measurement=SimpleNamespace(dataset=speeds)), state="")
-    modes = {}
-    for rpm, decrement in ((980.0, 10.0), (2362.1, 0.42)):
-        factor, _ = amplify(decrement) or (None, 0.0)
-        modes[str(rpm)] = {"rpm": rpm, "logarithmic_decrement": decrement, "rpm_std": 5.0} | {
-            "separation_margin_required_percent": require_separation(factor, above=True)
-        }
-    assert list_critical_speeds(fit, {"critical_speeds": modes}) == (
-        "2362.1 +- 5.0 rpm (logarithmic decrement 0.42), between 600 and 3000 rpm; "
-        "critically damped (amplification factor below 2.5): 980.0 +- 5.0 rpm"
-    )

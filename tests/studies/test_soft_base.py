@@ -11,11 +11,10 @@ from running import ROOT
 from soft_base import MACHINE, Predicted, keep, read
 
 from pipeline.config.compose import compose_config
-from pipeline.data.dataset import Excitation, VibrationDataset
-from pipeline.data.sensors import NO_FLOOR, list_directions
+from pipeline.data.sensors import NO_FLOOR
 from pipeline.errors import ConfigError
-from pipeline.problem.configured import build_measurement, configure_sensors
-from pipeline.rotor.stored import load_modelled_bearings, load_rotor
+from pipeline.problem.configured import configure_sensors
+from pipeline.rotor.stored import load_rotor
 
 RECORDS = MACHINE / "records.csv"
 
@@ -100,18 +99,3 @@ def test_a_floor_of_probes_is_noise_enough() -> None:
     config = compose_config(["experiment=noisy_all", "stated_noise.multiplicative=0.01", at])
     floors = configure_sensors(config, load_rotor(config.machine.rotor)).noise.floors
     assert (config.describe_noise(), floors) == ("1 % and 3 mm/s noise", ((0.0, 3e-3, 0.0), NO_FLOOR, NO_FLOOR))
-
-
-def test_x_and_y_of_turned_probes_have_the_floors_that_these_give_them() -> None:
-    """Half the squares of 3 and 4 um each, at 45 degrees."""
-    names = list(compose_config(["experiment=measured_demo"]).machine.recordings.probes)
-    floors = [f"++machine.recordings.probes.{name}.floor='{3 + i % 2} um'" for i, name in enumerate(names)]
-    config = compose_config(["experiment=measured_demo", *floors])
-    rotor, speeds = load_rotor(config.machine.rotor), np.array([100.0])
-    channels = list_directions(rotor.bearing_nodes)
-    data = VibrationDataset(
-        speeds, ("a",), channels, np.zeros((1, 4, 1)), (Excitation("a", "unbalance", 1, 1e-4, 0.0),)
-    )
-    known = load_modelled_bearings(config.machine.rotor, config.machine.bearings, speeds)
-    noise = build_measurement(config, rotor, data, known).noise
-    assert np.array(noise.floors) == pytest.approx(np.tile([2.5e-6 * np.sqrt(2), 0.0, 0.0], (4, 1)))

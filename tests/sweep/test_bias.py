@@ -1,6 +1,8 @@
-"""The response to a sweep of speed, against a time integration, the steady response and its own laws."""
+"""The response to a sweep: against a time integration, the steady response, its own laws, the printed rates."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,3 +103,13 @@ def test_at_the_slow_rate_the_peak_lags_by_the_share() -> None:
     assert bias.amplitude_factor < 0.99
     assert measure_bias(FREQUENCY, 0.02, 4 * slow, 0.01).peak_shift > 1.5 * bias.peak_shift
     assert measure_bias(FREQUENCY, 0.02, -slow, 0.01).peak_shift == pytest.approx(-0.01, rel=0.1)
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "run_up.md"
+
+
+@pytest.mark.parametrize("damping", ["0.005", "0.01", "0.02", "0.05", "0.1"])
+def test_the_printed_rates(damping: str) -> None:
+    line = next(row for row in PAGE.read_text(encoding="utf-8").splitlines() if row.startswith(f"| {damping} |"))
+    found = [find_slow_rate(rpm * RPM, float(damping), 0.01) / RPM for rpm in (600, 1600, 6000)]
+    assert found == pytest.approx([float(cell) for cell in line.split("|")[2:5]], rel=0.01)

@@ -1,23 +1,15 @@
-"""Names, numbers, provenance and silence: what is made of a record before MLflow gets it."""
+"""Names, numbers and provenance: what is made of a record before MLflow gets it."""
 
 from __future__ import annotations
 
-import logging
-import os
 import shutil
 import subprocess
-import time
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from running import ROOT
 
-from pipeline.rotor.bearing_table import BearingTable
-from pipeline.tracking import tracker
 from pipeline.tracking.entries import (
     NAME_LENGTH,
     PARAMETER_LENGTH,
@@ -28,36 +20,8 @@ from pipeline.tracking.entries import (
     flatten_parameters,
     without_password,
 )
-from pipeline.tracking.model import tabulate_identified
-from pipeline.tracking.store import quiet_mlflow
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
-
-
-def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
-    def slow_failure() -> None:
-        time.sleep(0.02)
-        raise OSError("no answer")
-
-    parts = [("the metrics", slow_failure), ("the history", lambda: pytest.fail("tried"))]
-    assert tracker.try_parts(parts, "train", patience_seconds=0.01) == [
-        "MLflow does not have the metrics of stage 'train': no answer.",
-        "MLflow took too long to answer, so these were not tried: the history.",
-    ]
-
-
-def test_table_of_bearings_with_different_coefficients() -> None:
-    def identify(known: BearingTable) -> BearingTable:
-        return replace(known, values=known.speeds[:, None] * np.array([[[2, 0, 0, 0, 1, 0, 0, 0]], [[5, *[0] * 7]]]))
-
-    unknowns = SimpleNamespace(by_bearing=(("cxx", "kxx"), ("kxx",)))
-    stub: Any = SimpleNamespace(bearing_nodes=(3, 7), unknowns=unknowns, table=identify)
-    table = tabulate_identified(stub, np.array([30.0, 60.0]))
-    assert list(table.columns) == ["bearing_node", "speed_rpm", "kxx", "cxx"]
-    assert list(table["bearing_node"]) == [3, 3, 7, 7]
-    assert list(table["speed_rpm"]) == [30.0, 60.0, 30.0, 60.0]
-    np.testing.assert_allclose(table["kxx"] / np.pi, [2, 4, 5, 10])
-    np.testing.assert_allclose(table["cxx"] / np.pi, [1, 2, np.nan, np.nan])
 
 
 def test_parameters_read_like_overrides() -> None:
@@ -134,15 +98,3 @@ def test_provenance_without_git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not [name for name in describe_provenance(tmp_path / "gone") if name.startswith("git.")]
     monkeypatch.setenv("PATH", str(tmp_path))
     assert not [name for name in describe_provenance(ROOT) if name.startswith("git.")]
-
-
-def test_surroundings_are_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "77")
-    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
-    with quiet_mlflow(4.0):
-        level = logging.getLogger("mlflow").level
-        assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "2"
-    assert os.environ["MLFLOW_HTTP_REQUEST_TIMEOUT"] == "77"
-    assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
-    assert logging.getLogger("mlflow").level < level
-    assert os.environ["MLFLOW_DISABLE_TELEMETRY"] == "true"

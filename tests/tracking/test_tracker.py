@@ -21,7 +21,6 @@ from running import PYTHON
 
 import pipeline
 from pipeline.config.schema import TrackingConfig
-from pipeline.errors import StorageError
 from pipeline.tracking import StageRecord, track, tracker
 from pipeline.tracking.model import exemplify, tabulate_identified
 from pipeline.tracking.store import prepare_database, quiet_mlflow
@@ -275,19 +274,6 @@ def test_uri_that_names_no_store(uri: str, tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failed_creation_leaves_no_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
-    from mlflow.store.tracking import sqlalchemy_store
-
-    def half_made(uri: str, root: str) -> None:
-        Path(uri.removeprefix("sqlite:///")).write_text("half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(sqlalchemy_store, "SqlAlchemyStore", half_made)
-    with pytest.raises(StorageError, match="No space left on device"):
-        prepare_database(tmp_path / "mlflow.db", 1.0)
-    assert [path.name for path in tmp_path.iterdir()] == ["mlflow.db-lock"]
-
-
 def test_two_processes_make_a_fresh_database_together(tmp_path: Path) -> None:
     code = """if True:
         import sys, time
@@ -435,3 +421,15 @@ def test_model_is_logged_without_a_look_through_all_packages(
     assert track(record(model=model_folder, example=exemplify(load_model(model_folder))), settings) == []
     assert requirements_utils._PACKAGES_TO_MODULES is None
     assert environment.warn_dependency_requirement_mismatches is check
+
+
+def test_parts_are_given_up_once_failures_have_taken_the_time() -> None:
+    def slow_failure() -> None:
+        time.sleep(0.02)
+        raise OSError("no answer")
+
+    parts = [("the metrics", slow_failure), ("the history", lambda: pytest.fail("tried"))]
+    assert tracker.try_parts(parts, "train", patience_seconds=0.01) == [
+        "MLflow does not have the metrics of stage 'train': no answer.",
+        "MLflow took too long to answer, so these were not tried: the history.",
+    ]

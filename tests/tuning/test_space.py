@@ -1,4 +1,4 @@
-"""Search spaces, samplers, what is promoted, and what a study says: everything but processes and storages."""
+"""Search spaces and samplers, and what a study says: everything but processes and storages."""
 
 from __future__ import annotations
 
@@ -19,16 +19,14 @@ from conftest import Machine, assert_says, examples
 from hypothesis import given
 from hypothesis import strategies as st
 from samplers import run as compare_samplers
-from samplers import track_best
 
 from pipeline.config.compose import compose_config
 from pipeline.config.promotion import apply_values
 from pipeline.config.schema import Config
-from pipeline.errors import ConfigError, DataError
+from pipeline.errors import ConfigError
 from pipeline.identification.residual_loss import fit_chebyshev, initial_parameters, prepare_residual
 from pipeline.identification.training import setup_of
 from pipeline.stages import run_stage
-from pipeline.tuning.finalists import Finalist, TrialSummary, choose
 from pipeline.tuning.space import applies, find_default, make_sampler, suggest, translate
 
 pytestmark = pytest.mark.slow  # it trains, or starts processes
@@ -147,86 +145,6 @@ def test_the_sampler_seed_matters() -> None:
     samplers = [make_sampler(untuned(f"tuning.sampler_seed={seed}").tuning) for seed in (0, 1)]
     first, second = (optuna.create_study(sampler=sampler).ask().suggest_float("x", 0, 1) for sampler in samplers)
     assert first != second
-
-
-@pytest.fixture
-def study(tmp_path: Path) -> Path:
-    """A folder in which a study promoted three values."""
-    folder = tmp_path / "a study"
-    folder.mkdir()
-    values = {"model.width": 17, "model.activation": "silu", "training.tolerance": 0.03}
-    best = {"study": "x", "trial": 5, "values": values, "held_out_loss": {"configured": 0.07, "promoted": 1.4e-7}}
-    (folder / "best.yaml").write_text(yaml.safe_dump(best))
-    return folder
-
-
-def test_promoted_values_are_in_force_where_training_is(study: Path) -> None:
-    """train, what reads its answer, and the written configuration use them; a study itself does not."""
-    for stage in ("configure", "generate", "train", "evaluate", "robustness", "predict"):
-        config = compose_config([f"stage={stage}", f"tuning.promoted={study}"])
-        assert (config.model.width, config.model.activation, config.training.tolerance) == (17, "silu", 0.03)
-        assert (config.promoted.trial, len(config.promoted.in_force)) == (5, 3)
-    config = compose_config(["stage=tune", f"tuning.promoted={study}"])
-    assert (config.model.width, config.promoted) == (48, None)
-
-
-@pytest.mark.parametrize(
-    ("override", "overridden"),
-    [
-        ("model.width=24", ["model.width"]),
-        ("model=network_32", ["model.width", "model.activation"]),
-        ("training.tolerance=0.5", ["training.tolerance"]),
-        ("++model.activation=sine", ["model.activation"]),
-        ("model.depth=2", []),
-        ("seed=3", []),
-    ],
-)
-def test_the_command_line_wins_over_promoted_values(study: Path, override: str, overridden: list[str]) -> None:
-    """A value, or the group that it is in, given explicitly is in force; the other promoted values stay."""
-    config = compose_config([f"tuning.promoted={study}", override])
-    plain = compose_config([NO_STUDY, override])
-    assert set(config.promoted.overridden) == set(overridden)
-    for key in overridden:
-        section, field = key.split(".")
-        assert getattr(getattr(config, section), field) == getattr(getattr(plain, section), field)
-    assert len(config.promoted.in_force) == 3 - len(overridden)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{",
-        "[]",
-        "study: x",
-        "study: x\ntrial: 1\nvalues: {machine.rotor.file: x}",
-        "study: x\ntrial: -1\nvalues: {}",
-        "\x00",
-    ],
-)
-def test_a_damaged_best_file_is_a_sentence(study: Path, text: str) -> None:
-    (study / "best.yaml").write_text(text)
-    with pytest.raises(DataError, match=r"best\.yaml' must hold .*tuned=false"):
-        compose_config([f"tuning.promoted={study}"])
-
-
-def test_promoted_values_of_another_kind_of_model_are_refused(study: Path) -> None:
-    """A network's width does not fit a constant that a configuration file chose; the command line alone drops it."""
-    with pytest.raises(ConfigError, match=r"tuned=false.*model\.\w+' is not one of ball_bearing"):
-        compose_config(["experiment=ball_bearing", f"tuning.promoted={study}"])
-    assert compose_config(["model=constant", f"tuning.promoted={study}"]).model.kind == "constant"
-
-
-def test_the_console_says_which_values_are_in_force(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from pipeline.stages.before_fit import say_promoted
-
-    say_promoted(compose_config([f"tuning.promoted={study}", "model.width=24"]))
-    assert_says(
-        capsys.readouterr().out,
-        "study 'x' (trial 5) in force: model.activation tanh -> silu, training.tolerance 0.1 -> 0.03",
-        "their loss is 1.4e-7, that of the configured values (tuned=false) 0.07",
-        "given on the command line instead of tuned: model.width=24",
-    )
 
 
 def test_a_series_finds_coefficients_that_are_one(hydrostatic: Machine) -> None:
@@ -348,51 +266,6 @@ def test_samplers_are_compared_at_equal_budget(finished: Path, capsys: pytest.Ca
         assert summary[name]["median_best_loss"] == pytest.approx(last.median())
     said = capsys.readouterr().out
     assert re.search(r"tpe (beats|ends level with|does not beat) random in the median of 2 studies", said)
-
-
-TIES, EQUAL = ((1e-3, 4), (1e-14, 0)), ((1e-15, 9e-16), (9e-16, 1e-15))
-"""The default's loss and what is promoted; losses of two other trials that differ by rounding alone."""
-
-
-def _finalist(trial: int, *losses: float) -> Any:
-
-    return Finalist(trial, {"model.width": trial}, np.array(losses), (), (), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("default", "others", "chosen"),
-    [
-        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4)], 7),
-        ([1.0, 1.0, 1.0], [(7, 0.6, 0.6, 0.6)], 0),  # less than the least gain
-        ([1.0, 1.0, 1.0], [(7, 0.01, 2.0, 2.0)], 0),  # one lucky seed
-        ([0.3, 1.0, 1.5], [(7, 0.4, 0.4, 0.4)], 0),  # within the luck of the default's seeds
-        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 9.0)], 7),  # training has one seed: the unluckiest counts
-        ([1.0, 1.0, 1.0], [(7, 0.4, 0.4, 0.4), (8, 0.3, 0.3, 0.3)], 8),
-        ([1.0, 1.0, 1.0], [(7, math.nan, math.nan, 0.1)], 0),  # most seeds diverged
-        ([math.nan, math.nan, 1.0], [(7, 3.0, 3.0, 3.0)], 7),
-        ([1e-15, 1e-15, 1e-15], [(7, 1e-16, 1e-16, 1e-16)], 0),  # rounding, where the order of the trials decides
-        *(([loss] * 3, [(4, *[one] * 3), (9, *[other] * 3)], trial) for loss, trial in TIES for one, other in EQUAL),
-        ([1.0, 1.0, 1.0], [], 0),
-    ],
-)
-def test_seeds_decide(default: list[float], others: list[tuple[float, ...]], chosen: int) -> None:
-    """Promoted is the best of the unluckiest seeds, where the median falls enough; luck and rounding do not count."""
-
-    finalists = [_finalist(0, *default), *(_finalist(int(number), *losses) for number, *losses in others)]
-    assert choose(finalists, untuned().tuning).trial == chosen
-
-
-def test_the_best_so_far_leaves_the_default_out() -> None:
-    """Samplers are compared by what they found themselves; rounding counts as equal, pruned trials not at all."""
-    from pipeline.tuning.worker import ROUNDING
-
-    losses = [1e-9, 1e-2, None, 1e-3, 1e-1, 1e-20]
-    states = ["complete", "complete", "failed", "complete", "pruned", "complete"]
-    trials = [
-        TrialSummary(number=i, state=state, loss=loss, parameters={}, curve={})
-        for i, (state, loss) in enumerate(zip(states, losses, strict=True))
-    ]
-    assert track_best(trials).tolist() == [1e-2, 1e-2, 1e-3, 1e-3, ROUNDING]
 
 
 STUDIES = Path(__file__).parents[2] / "studies"

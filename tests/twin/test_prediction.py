@@ -1,11 +1,15 @@
-"""Predictions that need no bearing model: sums of runs, splines over the speed; and when they have no answer."""
+"""Predictions: responses and time curves; sums of runs, splines over the speed; and when they have no answer."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import Machine, MachineFactory
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.config.compose import compose_config
 from pipeline.data.dataset import Excitation, VibrationDataset, subtract_baseline
@@ -13,7 +17,7 @@ from pipeline.data.simulate import simulate
 from pipeline.errors import ConfigError
 from pipeline.identification.fit import fit
 from pipeline.identification.training import setup_of
-from pipeline.twin.prediction import compare_held_out, error_percent, find_shares
+from pipeline.twin.prediction import compare_held_out, error_percent, find_shares, predict, sample_motion
 
 FIRST = Excitation("first", "unbalance", 2, 1e-4, 0.0)
 SECOND = Excitation("second", "unbalance", 4, 2e-4, 1.0)
@@ -102,3 +106,41 @@ def test_mistakes_of_a_range_are_named(rotor_of: Machine, experiment: str, given
 def test_a_range_ascends() -> None:
     with pytest.raises(ConfigError, match="from <= to"):
         compose_config(["training.holdout_range=[3000 rpm,2000 rpm]"])
+
+
+@given(
+    amplitudes=st.lists(st.floats(1e-9, 1e-3), min_size=2, max_size=2),
+    phases=st.lists(st.floats(-math.pi, math.pi), min_size=2, max_size=2),
+    speed=st.floats(1.0, 1000.0),
+)
+def test_time_curve(amplitudes: list[float], phases: list[float], speed: float) -> None:
+    """method.md, section 1: q(t) = Re(Q e^{jwt}) = |Q| cos(w t + phase), zero-to-peak, over two turns."""
+    time, curve = sample_motion(np.array(amplitudes) * np.exp(1j * np.array(phases)), speed)
+    assert (time[0], time[-1]) == (0, pytest.approx(2 * 2 * math.pi / speed))
+    wanted = np.array(amplitudes) * np.cos(speed * time[:, None] + np.array(phases))
+    np.testing.assert_allclose(curve, wanted, atol=1e-12)
+    np.testing.assert_allclose(curve[-1], curve[0], atol=1e-12)
+    assert np.abs(curve).max(axis=0) == pytest.approx(amplitudes, rel=1e-3)
+
+
+def test_prediction_is_the_response_of_that_node(hydrostatic: Machine) -> None:
+    """Paper, section 4.2.1: x and y of a node for one unbalance run, here one whose response is known."""
+    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
+    found = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
+    np.testing.assert_allclose(found.displacement, hydrostatic.response[:, 16:18, 2], rtol=1e-12)
+    np.testing.assert_array_equal(found.speeds, hydrostatic.speeds)
+    twin = replace(found, displacement=found.displacement * (1 + 0.01j))
+    np.testing.assert_allclose(twin.error_percent(found), 1.0, rtol=1e-10)
+
+
+def test_prediction_changes_with_the_coefficients(hydrostatic: Machine) -> None:
+    """Sensitivity: 1e-6 more stiffness changes the vibration in proportion; the error is of first order."""
+    own = tuple(e for e in hydrostatic.excitations if e.run == "couple")
+    true = predict(hydrostatic.rotor, hydrostatic.bearings, own, 4)
+    errors = []
+    for size in (1e-6, 2e-6):
+        values = hydrostatic.bearings.values.copy()
+        values[..., :4] *= 1 + size
+        changed = predict(hydrostatic.rotor, replace(hydrostatic.bearings, values=values), own, 4)
+        errors.append(changed.error_percent(true))
+    np.testing.assert_allclose(errors[1], 2 * errors[0], rtol=1e-3)
