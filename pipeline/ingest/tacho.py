@@ -147,14 +147,17 @@ def _find_mark(marks: np.ndarray, where: str) -> float:
 def _fit_spline(pulses: np.ndarray, turns: np.ndarray) -> Any:
     from scipy.interpolate import make_lsq_spline
 
-    n = len(pulses)
     period = np.gradient(pulses)
-    fits = []
-    for knots in _list_knots(pulses, period):
-        spline = make_lsq_spline(pulses, turns, np.pad(knots, 3, mode="edge"), k=3, w=period)
-        rest = (turns - spline(pulses)) * period
-        fits.append((float(rest @ rest) / (1 - (len(knots) + 2) / n) ** 2, spline))
-    return min(fits, key=lambda fit: fit[0])[1]
+
+    def fit(knots: np.ndarray, method: str) -> Any:
+        return make_lsq_spline(pulses, turns, np.pad(knots, 3, mode="edge"), k=3, w=period, method=method)
+
+    def cross_validate(knots: np.ndarray) -> float:
+        # By normal equations, in a sixth of the time: exact enough to rank by.
+        rest = (turns - fit(knots, "norm-eq")(pulses)) * period
+        return float(rest @ rest) / (1 - (len(knots) + 2) / len(pulses)) ** 2
+
+    return fit(min(_list_knots(pulses, period), key=cross_validate), "qr")
 
 
 def _list_knots(pulses: np.ndarray, period: np.ndarray) -> list[np.ndarray]:
