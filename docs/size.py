@@ -53,7 +53,7 @@ BUDGETS = {
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (115, 200),
-    "statements of tests/": (12994, 13000),
+    "statements of tests/": (12995, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "pages of docs/ beside the reference": (20, 20),
     "modules without a test of their name": (61, 0),

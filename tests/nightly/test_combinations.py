@@ -70,14 +70,15 @@ FEW_CASES = [
 
 @pytest.mark.slow
 def test_check_of_freshly_made_experiments(made: Made, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    for experiment in EXPERIMENTS:
+    fresh = [name for name in EXPERIMENTS if name != "rk4"]  # a study makes its metrics, from records
+    for experiment in fresh:
         made(experiment)
         if experiment in COMPARED:
             run("compare", few(experiment, *FEW_CASES, COMPARED[experiment]), made(experiment))
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:  # few steps pass no accuracy bar
-        run("check", few("ball_bearing", f"check.experiments=[{','.join(EXPERIMENTS)}]"), made("ball_bearing"))
+        run("check", few("ball_bearing", f"check.experiments=[{','.join(fresh)}]"), made("ball_bearing"))
     assert stop.value.code == 1
     said = capsys.readouterr()
     assert "missing" not in said.out + said.err
-    assert all(name in said.out for name in EXPERIMENTS)
+    assert all(name in said.out for name in fresh)
