@@ -27,7 +27,7 @@ STATEMENTS = {
     "data": 1065,
     "parameters": 451,
     "sweep": 247,
-    "ingest": 1621,
+    "ingest": 1620,
     "problem": 1528,
     "identification": 2912,
     "evaluation": 208,
@@ -46,14 +46,14 @@ STATEMENTS = {
 """Room -> the most statements that it may have, without imports and docstrings."""
 
 BUDGETS = {
-    "statements of pipeline/": (18530, 14500),
+    "statements of pipeline/": (18529, 14500),
     "files": (249, 250),
     "classes": (321, 260),
     "is None, is not None": (318, 420),
     "isinstance on configurations": (7, 10),
     "numeric constants of modules": (43, 150),
     "bindings named by empty words": (115, 200),
-    "statements of tests/": (12995, 13000),
+    "statements of tests/": (13000, 13000),
     "words of docs/ beside the reference": (30000, 30000),
     "pages of docs/ beside the reference": (20, 20),
     "modules without a test of their name": (61, 0),

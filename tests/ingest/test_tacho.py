@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_lsq_spline
 
 from ingest.test_order_tracking import Shaft
 from pipeline.ingest.tacho import find_pulses, fit_angle
@@ -22,6 +23,16 @@ def test_a_run_up_from_standstill_has_regular_pulses() -> None:
     """With constant acceleration from zero the first intervals shrink fast; none is taken for a missing pulse."""
     angle = fit_angle(np.sqrt(np.arange(1, 200) / 3.0), 1, "x")
     assert angle.speed(np.array([5.0]))[0] / (2 * np.pi) == pytest.approx(2 * 3.0 * 5.0, rel=1e-3)
+
+
+def test_the_spline_is_that_which_qr_ranks_first(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A speed that wanders needs some knots of many: normal equations choose the same, to the last bit."""
+    pulses = np.arange(900) / 50 + 0.02 * np.sin(np.arange(900) / 60) + 1e-5 * rng.standard_normal(900)
+    chosen = fit_angle(pulses, 1, "x").spline
+    monkeypatch.setattr(
+        "scipy.interpolate.make_lsq_spline", lambda *given, method, **named: make_lsq_spline(*given, **named)
+    )
+    np.testing.assert_array_equal(chosen.c, fit_angle(pulses, 1, "x").spline.c)
 
 
 def test_noise_on_the_levels_makes_no_pulses(rng: np.random.Generator) -> None:

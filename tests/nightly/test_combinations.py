@@ -22,10 +22,6 @@ def kept(experiment: str, made: Made) -> results.Kept:
     return made(experiment), few(experiment)
 
 
-# One of the noisy ones, which differ in their unknowns, is tried with every option.
-WITH_OPTIONS = [
-    name for name in EXPERIMENTS if name not in ("noisy_direct", "noisy_all", "noisy_stiffness_residual", "impulses")
-]
 test_again = at_night(by_day.test_every_stage_of_an_experiment_again_gives_the_same_bits, "experiment", OTHERS)
 test_figures_show_something = at_night(
     results.test_figures_show_something, "experiment", [name for name in OTHERS if name != "realistic"]
@@ -41,7 +37,13 @@ test_files, test_tables, test_metrics = (
 test_every_option_of_every_group = at_night(
     by_day.test_every_option_of_every_group,
     ("group", "option", "experiment"),
-    [(group, option, name) for group, option, home in by_day.CHOICES for name in WITH_OPTIONS if name != home],
+    [
+        (group, option, name)
+        for group, option, home in by_day.CHOICES
+        for name in EXPERIMENTS
+        # One of the noisy ones, which differ in their unknowns, is tried with every option.
+        if name not in (home, "noisy_direct", "noisy_all", "noisy_stiffness_residual", "impulses")
+    ],
 )
 test_all_stages_of_all_combinations = at_night(
     by_day.test_all_stages_of_all_combinations,

@@ -240,12 +240,12 @@ def test_the_trial_of_a_worker_that_dies_is_taken_over(workers: int, start: Fork
     os.kill(int(trial.user_attrs["worker"].split(":")[1]), signal.SIGKILL)
     assert runner.end() == 0, runner.said
     assert "a worker ended with exit code -9; the others took over its trial" in runner.said
-    # Two who are left may put it back, or ask for the last one, at once: what has no place is not trained.
+    # Where two are left, both may put it back or ask for the last one: what has no place is not trained.
     trained = [other for other in trials_of(problem) if other.intermediate_values]
     (repeat,) = (other for other in trained if other.user_attrs.get(REPEATS) == trial.number)
     assert (repeat.state.name, repeat.params) == ("COMPLETE", trial.params)
     assert trial.intermediate_values.items() <= repeat.intermediate_values.items()
-    assert (len(finished(problem)), len(trained)) == (3, 4)
+    assert (len(finished(problem)), len(trained), workers > 2 or len(trials_of(problem)) == 4) == (3, 4, True)
 
 
 @pytest.mark.parametrize(("moment", "whole_group"), [("in a trial", True)])
